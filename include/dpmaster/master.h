@@ -1,0 +1,170 @@
+/* SPDX-License-Identifier: MIT
+ *
+ * The DP master class 1 (EN 50170 part 8): an FDL station with the slave handler on top. Everything here is called on
+ * the machine's thread, except the images, which are made for two.
+ */
+#ifndef DPMASTER_MASTER_H
+#define DPMASTER_MASTER_H
+
+#include "dpmaster/image.h"
+#include "dpmaster/station.h"
+
+enum dpm_mode {
+    DPM_MODE_OFFLINE = 0x00, /* nothing is sent */
+    DPM_MODE_STOP = 0x40,    /* token only; raw requests work, no slave is started */
+    DPM_MODE_CLEAR = 0x80,   /* slaves are started and exchange; outputs are zeros, or empty for a fail-safe slave */
+    DPM_MODE_OPERATE = 0xC0
+};
+
+/* The slave handler's states (EN 50170 part 8). */
+enum dpm_station_state {
+    DPM_ST_OFFLINE = 0,  /* not heard of; tried at a low rate */
+    DPM_ST_DIAG1,        /* answers; is it free? */
+    DPM_ST_PRM,          /* Set_Prm is next */
+    DPM_ST_CFG,          /* Chk_Cfg is next */
+    DPM_ST_DIAG2,        /* did it accept both, is it ready? */
+    DPM_ST_DATA,         /* Data_Exchange */
+    DPM_ST_INACTIVE,     /* deactivated: never asked */
+    DPM_ST_LEAVING       /* Set_Prm with Unlock is next */
+};
+
+/* Why a station is not in Data_Exchange, or left it. */
+enum dpm_reason {
+    DPM_WHY_NONE = 0,
+    DPM_WHY_NO_ANSWER,       /* detail: enum dpm_station_state it was lost in */
+    DPM_WHY_SERVICE,         /* RS, UE, RR: detail = fc */
+    DPM_WHY_INVALID_ANSWER,  /* wrong SAPs, wrong length: detail = octets received */
+    DPM_WHY_IDENT,           /* another ident number: detail = it */
+    DPM_WHY_PRM_FAULT,
+    DPM_WHY_CFG_FAULT,
+    DPM_WHY_NOT_SUPPORTED,   /* Diag.Not_Supported: a feature that Set_Prm asked for */
+    DPM_WHY_LOCKED,          /* another master has it: detail = its address */
+    DPM_WHY_NOT_READY,
+    DPM_WHY_STATIC_DIAG,
+    DPM_WHY_PRM_REQ,         /* the slave wants to be parameterised anew: reset, or its watchdog ran out */
+    DPM_WHY_BUS              /* the master left the bus: foreign token, vanished port */
+};
+
+/* What fed the output watchdog last. */
+enum dpm_feed {
+    DPM_FED_OPERATE = 0,
+    DPM_FED_COMMIT,
+    DPM_FED_WAIT,
+    DPM_FED_PROGRAM          /* master.feed() */
+};
+
+/* One slave as the master is to treat it. */
+typedef struct dpm_slave_set {
+    uint8_t address;            /* 0..125 */
+    uint16_t ident_number;
+    uint8_t configuration[DPM_IO_MAX];
+    uint8_t configuration_length;   /* 1..244 */
+    uint8_t user_parameters[237];
+    uint8_t user_parameters_length; /* 0..237 */
+    uint8_t station_status;     /* Set_Prm octet 1 without Lock, Unlock and WD_On: Sync_Req 20h, Freeze_Req 10h */
+    uint8_t wd_fact_1;          /* watchdog = fact_1 * fact_2 * 10 ms, 1..255 each; both 0: off */
+    uint8_t wd_fact_2;
+    uint8_t min_tsdr;           /* Tbit, 11..255; 0: leave the slave's own */
+    uint8_t group;              /* Group_Ident: a bit for each of 8 groups */
+    bool fail_safe;             /* in Clear it gets an empty Data_Exchange instead of zeros */
+    bool hold;                  /* resume="hold": outputs survive a loss (bare stations only) */
+    bool active;                /* false: listed but never asked */
+    uint16_t min_slave_interval; /* 100 us, 0..65535 */
+} dpm_slave_set;
+
+typedef struct dpm_slave_statistics {
+    uint64_t exchanges;         /* Data_Exchange answered */
+    uint64_t diagnoses;         /* Slave_Diag answered */
+    uint64_t repetitions;
+    uint64_t unanswered;        /* requests given up after all tries */
+    uint64_t refused;           /* RS, UE, RR */
+    uint64_t invalid;           /* answers that fit no request */
+    uint64_t starts;            /* times it came into Data_Exchange */
+    uint64_t losses;            /* times it left Data_Exchange unasked */
+    int64_t tsdr_min;           /* ns, -1: none measured */
+    int64_t tsdr_max;
+} dpm_slave_statistics;
+
+typedef struct dpm_slave_status {
+    uint8_t state;              /* enum dpm_station_state */
+    uint8_t reason;             /* enum dpm_reason, of the last trouble */
+    int32_t detail;
+    uint32_t epoch;
+    uint8_t diagnosis[DPM_IO_MAX]; /* as received, with the master's own bits added (Station_Non_Existent,
+                                      Invalid_Slave_Response, Master_Lock, Deactivated) */
+    uint8_t diagnosis_length;   /* 0: none yet */
+    uint64_t diagnosis_number;  /* counts up with each one fetched */
+    int64_t diagnosis_time;
+    dpm_slave_statistics statistics;
+} dpm_slave_status;
+
+typedef struct dpm_master_status {
+    uint8_t mode;               /* enum dpm_mode */
+    uint8_t fdl_state;          /* enum dpm_fdl_state */
+    bool latched;               /* the output watchdog ran out */
+    uint8_t fed_by;             /* enum dpm_feed */
+    int16_t foreign;            /* address of the foreign master heard last, -1 none */
+    uint64_t cycle;
+    int64_t cycle_last;         /* ns, duration of the last whole cycle */
+    int64_t cycle_max;
+    dpm_fdl_statistics fdl;
+} dpm_master_status;
+
+typedef struct dpm_master_config {
+    dpm_station_config station;
+    uint16_t slaves;             /* room for so many, 1..126 */
+    int64_t cycle_time;          /* ns from one cycle's start to the next one's; 0: free running */
+    int64_t output_watchdog;     /* ns; 0: off */
+    int64_t control_interval;    /* ns between repetitions of Global_Control; Data_Control_Time / 3 */
+} dpm_master_config;
+
+/* A raw request, made by a program step by step. The memory is the caller's, until `done` or cancelled. */
+typedef struct dpm_raw {
+    uint8_t da;
+    uint8_t function;
+    int16_t dsap;
+    int16_t ssap;
+    uint8_t length;
+    uint8_t data[DPM_DATA_MAX];
+    bool done;
+    uint8_t status;              /* enum dpm_confirm_status */
+    uint8_t fc;
+    bool short_ack;
+    uint8_t tries;
+    uint8_t answer_length;
+    uint8_t answer[DPM_DATA_MAX];
+    int64_t tsdr;                /* ns, -1 unknown */
+} dpm_raw;
+
+typedef struct dpm_master dpm_master;
+
+DPM_API size_t dpm_master_size(uint16_t slaves);
+/* DPM_E_BLOCK, DPM_E_ARGUMENT, DPM_E_PARAMETER, DPM_E_ADDRESS. */
+DPM_API int dpm_master_init(void *block, size_t size, const dpm_master_config *config, dpm_master **master);
+DPM_API dpm_machine *dpm_master_machine(dpm_master *master);
+DPM_API dpm_station *dpm_master_station(dpm_master *master);
+
+/* Add a slave; its images are the caller's. Returns its index (0, 1, ...) or DPM_E_ADDRESS, DPM_E_DUPLICATE, DPM_E_FULL,
+ * DPM_E_CONFIGURATION, DPM_E_LENGTH. */
+DPM_API int dpm_master_add(dpm_master *master, const dpm_slave_set *set, dpm_outputs *outputs, dpm_image *inputs);
+/* Replace a slave's set (same address, same lengths); what Set_Prm carries takes effect at the next Set_Prm. */
+DPM_API int dpm_master_change(dpm_master *master, int index, const dpm_slave_set *set);
+/* Change the mode. Leaving Operate makes all outputs safe; STOP and OFFLINE unlock the slaves first (leaving), for
+ * which the machine takes its time: watch status.mode. Going to OPERATE ends a latch. DPM_E_ARGUMENT. */
+DPM_API int dpm_master_set_mode(dpm_master *master, int mode, int64_t now);
+DPM_API int dpm_master_request(dpm_master *master, dpm_raw *raw);
+DPM_API void dpm_master_cancel(dpm_master *master, dpm_raw *raw);
+DPM_API void dpm_master_get_status(const dpm_master *master, dpm_master_status *status);
+DPM_API int dpm_master_get_slave(const dpm_master *master, int index, dpm_slave_status *status);
+/* The port vanished or came back: everything is lost, or starts anew. */
+DPM_API void dpm_master_port(dpm_master *master, bool working, int64_t now);
+
+/* From any thread: the program lives. `by` is an enum dpm_feed. */
+DPM_API void dpm_master_feed(dpm_master *master, int64_t now, int by);
+
+/* Bench and `perf`: record, for each Data_Exchange answered at the first try, the ns from its request's start to the
+ * end of its answer, into `durations` until `n` are there. NULL stops it. */
+DPM_API void dpm_master_record(dpm_master *master, int64_t *durations, size_t n);
+DPM_API size_t dpm_master_recorded(const dpm_master *master);
+
+#endif

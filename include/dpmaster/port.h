@@ -1,0 +1,73 @@
+/* SPDX-License-Identifier: MIT
+ *
+ * Serial ports and ptys on Linux: 8E1 at any rate, exclusive, raw. A port keeps no thread; whoever owns it calls it.
+ */
+#ifndef DPMASTER_PORT_H
+#define DPMASTER_PORT_H
+
+#include "dpmaster/machine.h"
+#include "dpmaster/parameters.h"
+
+enum dpm_profile {
+    DPM_PROFILE_AUTO = 0, /* by what the path is */
+    DPM_PROFILE_UART,
+    DPM_PROFILE_USB,
+    DPM_PROFILE_PTY
+};
+
+enum dpm_echo {
+    DPM_ECHO_AUTO = 0,   /* found out: what equals our transmission, right behind it, is its echo */
+    DPM_ECHO_OFF,
+    DPM_ECHO_ON
+};
+
+enum dpm_pace {
+    DPM_PACE_AUTO = 0,   /* a UART is paced; of a pty it is unknown */
+    DPM_PACE_NONE,
+    DPM_PACE_BAUD
+};
+
+typedef struct dpm_port_config {
+    const char *path;
+    uint32_t rate_num;
+    uint32_t rate_den;
+    int profile;         /* enum dpm_profile */
+    int echo;            /* enum dpm_echo */
+    int pace;            /* enum dpm_pace */
+    int64_t allowance;   /* ns; -1: the profile's default */
+} dpm_port_config;
+
+typedef struct dpm_port_info {
+    int profile;
+    dpm_port_traits traits;
+    bool parity;              /* the driver kept even parity (a pty does not) */
+    uint64_t octets_in;
+    uint64_t octets_out;
+    uint64_t echo_octets;     /* own octets heard back and removed */
+    uint64_t echo_errors;     /* echo expected, something else heard: a collision or a short */
+    uint64_t line_errors;
+} dpm_port_info;
+
+typedef struct dpm_port dpm_port;
+
+DPM_API size_t dpm_port_size(void);
+/* 0, or DPM_E_NO_PORT, DPM_E_PERMISSION, DPM_E_IN_USE, DPM_E_NOT_TTY, DPM_E_SETTINGS, DPM_E_SYSTEM, DPM_E_BLOCK. */
+DPM_API int dpm_port_open(void *block, size_t size, const dpm_port_config *config, dpm_port **port);
+DPM_API void dpm_port_close(dpm_port *port);
+DPM_API int dpm_port_fd(const dpm_port *port);
+DPM_API void dpm_port_get_info(const dpm_port *port, dpm_port_info *info);
+
+/* Read what is there without waiting and give it, echo removed or marked, to `machine`; report quiet when nothing was.
+ * Returns the octets read, 0 none, DPM_E_GONE. */
+DPM_API int dpm_port_read(dpm_port *port, dpm_machine *machine);
+/* Write one telegram with one write and report sent(). DPM_E_GONE when the port is. */
+DPM_API int dpm_port_write(dpm_port *port, dpm_machine *machine, const uint8_t *octets, size_t n);
+
+/* Wait until octets come, `wake_fd` is readable, or `deadline`, the last microseconds in a short spin.
+ * Returns a mask: 1 octets (or the port is gone: read tells), 2 wake_fd; 0 the deadline. */
+DPM_API int dpm_port_wait(dpm_port *port, int wake_fd, int64_t deadline);
+
+/* CLOCK_MONOTONIC in ns. */
+DPM_API int64_t dpm_now(void);
+
+#endif

@@ -1,0 +1,104 @@
+/* SPDX-License-Identifier: MIT
+ *
+ * The active FDL station (EN 50170 part 4; IEC 61158-4-3 clause 8): owns the token, carries one exchange at a time
+ * with retries and the frame count bit, answers FDL status, gives way to a foreign token. It serves users (the DP
+ * master, raw requests) that it asks for work when it holds the token.
+ *
+ * Today it is a sole master: LAS is itself, GAP is not polled, the token goes to itself. Every place where the token ring
+ * differs is a state of its own already.
+ */
+#ifndef DPMASTER_STATION_H
+#define DPMASTER_STATION_H
+
+#include "dpmaster/event.h"
+#include "dpmaster/machine.h"
+#include "dpmaster/parameters.h"
+#include "dpmaster/receiver.h"
+
+enum dpm_fdl_state {
+    DPM_FDL_OFFLINE = 0,
+    DPM_FDL_LISTEN_TOKEN,
+    DPM_FDL_CLAIM_TOKEN,
+    DPM_FDL_USE_TOKEN,
+    DPM_FDL_AWAIT_DATA_RESPONSE,
+    DPM_FDL_PASS_TOKEN
+};
+
+/* What became of a request, besides the FC of the answer. */
+enum dpm_confirm_status {
+    DPM_CONF_ANSWER = 0,  /* answered: look at fc, data */
+    DPM_CONF_SENT,        /* SDN: it went out */
+    DPM_CONF_NA,          /* no answer, or none that was whole, after all tries */
+    DPM_CONF_INVALID,     /* the station answered with something that is no answer to this request */
+    DPM_CONF_DS           /* the station lost the token or left the bus before it was done */
+};
+
+typedef struct dpm_request {
+    uint8_t da;           /* 0..126, 127 for SDN */
+    uint8_t function;     /* enum dpm_function: an SRD, SDA, SDN, FDL_STATUS, IDENT or LSAP_STATUS */
+    int16_t dsap;         /* both or neither */
+    int16_t ssap;
+    uint8_t retries;      /* repetitions, 0..15; a first contact (FCV = 0), SDN and FDL status are never repeated */
+    uint8_t length;
+    const uint8_t *data;  /* copied when the telegram is made */
+} dpm_request;
+
+typedef struct dpm_confirm {
+    uint8_t status;       /* enum dpm_confirm_status */
+    uint8_t fc;           /* of the answer; 0 for SC */
+    bool short_ack;       /* the answer was SC */
+    uint8_t tries;        /* telegrams sent, 1.. */
+    uint8_t length;
+    const uint8_t *data;  /* valid during the call */
+    int64_t tsdr;         /* ns from the request's end to the answer's first bit, as well as the port can tell; -1 */
+    int64_t time;         /* ns, end of the answer or of the last wait */
+} dpm_confirm;
+
+/* A user of the station. next() fills `request` and returns 1, or returns 0: nothing (more) in this turn of the token,
+ * and *wake says when there may be. confirm() is called exactly once for each request taken. */
+typedef struct dpm_fdl_user {
+    void *context;
+    int (*next)(void *context, int64_t now, dpm_request *request, int64_t *wake);
+    void (*confirm)(void *context, int64_t now, const dpm_confirm *confirm);
+} dpm_fdl_user;
+
+typedef struct dpm_fdl_statistics {
+    uint64_t requests;         /* SRD, SDA and status requests, without repetitions */
+    uint64_t answers;
+    uint64_t repetitions;
+    uint64_t unanswered;       /* requests given up */
+    uint64_t sdn;
+    uint64_t tokens;           /* tokens sent */
+    uint64_t late_dropped;     /* telegrams dropped past their latest time */
+    uint64_t stray;            /* good telegrams that belonged to nobody: late, doubled, foreign answers */
+    uint64_t foreign;          /* tokens and requests of foreign masters */
+    uint64_t send_failed;
+    uint64_t tokens_lost;      /* times the token was given up after our own silence */
+    uint32_t rejected[DPM_REJECT_COUNT];
+} dpm_fdl_statistics;
+
+typedef struct dpm_station dpm_station;
+
+typedef struct dpm_station_config {
+    dpm_parameters parameters;
+    uint8_t address;           /* TS, 0..125 */
+    dpm_port_traits traits;
+} dpm_station_config;
+
+DPM_API size_t dpm_station_size(void);
+/* DPM_E_BLOCK, DPM_E_PARAMETER, DPM_E_ADDRESS. The block is the caller's and must outlive the station. */
+DPM_API int dpm_station_init(void *block, size_t size, const dpm_station_config *config, dpm_station **station);
+DPM_API dpm_machine *dpm_station_machine(dpm_station *station);
+/* Up to 4 users, asked in the order they were added: the first has priority. DPM_E_FULL. */
+DPM_API int dpm_station_add_user(dpm_station *station, const dpm_fdl_user *user);
+/* Events (DPM_EV_FDL, DPM_EV_FOREIGN, DPM_EV_LATE) go to every ring added, up to 8. */
+DPM_API int dpm_station_add_ring(dpm_station *station, dpm_ring *ring);
+DPM_API int dpm_station_remove_ring(dpm_station *station, dpm_ring *ring);
+/* Leave Offline for Listen_Token, or go Offline at once: nothing more is sent. */
+DPM_API void dpm_station_online(dpm_station *station, bool online);
+DPM_API int dpm_station_state(const dpm_station *station);
+DPM_API const dpm_fdl_statistics *dpm_station_statistics(const dpm_station *station);
+/* Forget a station's frame count bit: the next request to it is a first contact (FCB = 1, FCV = 0). */
+DPM_API void dpm_station_restart(dpm_station *station, uint8_t address);
+
+#endif
