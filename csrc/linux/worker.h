@@ -1,0 +1,47 @@
+/* SPDX-License-Identifier: MIT
+ *
+ * What the bus thread and the segment hub have in common: a thread that blocks all signals, calls that other threads
+ * run on it between two events, and a counter they may wait on. The thread itself never takes a lock and never waits for a caller.
+ * Private to csrc/linux.
+ */
+#ifndef DPM_LINUX_WORKER_H
+#define DPM_LINUX_WORKER_H
+
+#include <pthread.h>
+#include <stdatomic.h>
+#include <sys/types.h>
+
+#include "dpmaster/error.h"
+#include "dpmaster/machine.h"
+
+typedef struct dpm_worker {
+    pthread_t thread;
+    pid_t owner;                  /* the process that opened it; in a child every call is DPM_E_FORKED */
+    int wake_fd;                  /* eventfd, O_CLOEXEC: a call is pending or the end is wanted */
+    bool running;
+    atomic_bool stopping;
+    pthread_mutex_t callers;      /* taken by callers only, never by the thread */
+    _Atomic(struct dpm_call *) pending;
+    _Atomic uint32_t progress;    /* futex word of dpm_worker_wait */
+    _Atomic uint32_t waiters;
+} dpm_worker;
+
+int dpm_worker_init(dpm_worker *worker);
+/* Start `run(context)` with all signals blocked. It must return soon after dpm_worker_stopping() turns true. */
+int dpm_worker_start(dpm_worker *worker, void *(*run)(void *), void *context);
+/* Idempotent; from any thread of the owner: ends and joins the thread, fails calls and waits with DPM_E_CLOSED. */
+void dpm_worker_stop(dpm_worker *worker);
+
+/* Run fn(object, argument) on the thread and return its result. DPM_E_CLOSED, DPM_E_FORKED. When the worker was never
+ * started, runs it on the caller's thread. */
+int dpm_worker_call(dpm_worker *worker, int (*fn)(void *object, void *argument), void *object, void *argument);
+/* As dpm_bus_wait. */
+int dpm_worker_wait(dpm_worker *worker, uint32_t seen, int64_t timeout);
+
+/* On the thread: run a pending call, if any (also drains wake_fd). */
+void dpm_worker_serve(dpm_worker *worker);
+bool dpm_worker_stopping(const dpm_worker *worker);
+/* On the thread: `progress` differs from last time: wake the waiters. One relaxed load when nothing changed. */
+void dpm_worker_publish(dpm_worker *worker, uint32_t progress);
+
+#endif
