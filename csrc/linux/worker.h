@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: MIT
  *
  * What the bus thread and the segment hub have in common: a thread that blocks all signals, calls that other threads
- * run on it between two events, and a counter they may wait on. The thread itself never takes a lock and never waits for a caller.
- * Private to csrc/linux.
+ * run on it between two events, and a counter they may wait on. The thread itself never takes a lock and never waits
+ * for a caller. Private to csrc/linux.
  */
 #ifndef DPM_LINUX_WORKER_H
 #define DPM_LINUX_WORKER_H
@@ -18,27 +18,32 @@ typedef struct dpm_worker {
     pthread_t thread;
     pid_t owner;                  /* the process that opened it; in a child every call is DPM_E_FORKED */
     int wake_fd;                  /* eventfd, O_CLOEXEC: a call is pending or the end is wanted */
-    bool running;
-    atomic_bool stopping;
+    bool running;                 /* under `callers` */
+    atomic_bool closing;          /* callers and waiters are turned away */
+    atomic_bool stopping;         /* the thread is to end */
     pthread_mutex_t callers;      /* taken by callers only, never by the thread */
     _Atomic(struct dpm_call *) pending;
     _Atomic uint32_t progress;    /* futex word of dpm_worker_wait */
     _Atomic uint32_t waiters;
 } dpm_worker;
 
+/* Open the wake-up descriptor. DPM_E_SYSTEM. */
 int dpm_worker_init(dpm_worker *worker);
-/* Start `run(context)` with all signals blocked. It must return soon after dpm_worker_stopping() turns true. */
+/* Start `run(context)` with all signals blocked. It must return soon after dpm_worker_stopping() turns true, and
+ * serve calls until then. DPM_E_SYSTEM, DPM_E_CLOSED, DPM_E_FORKED, DPM_E_MODE when it runs already. */
 int dpm_worker_start(dpm_worker *worker, void *(*run)(void *), void *context);
-/* Idempotent; from any thread of the owner: ends and joins the thread, fails calls and waits with DPM_E_CLOSED. */
-void dpm_worker_stop(dpm_worker *worker);
+/* Idempotent; from any thread of the owner (not its own): lets the call under way finish, ends and joins the thread,
+ * closes wake_fd; calls and waits fail with DPM_E_CLOSED. Returns true to the one caller that ended it, once the
+ * thread is gone: what the thread used may then be closed. In a forked child it does nothing. */
+bool dpm_worker_stop(dpm_worker *worker);
 
 /* Run fn(object, argument) on the thread and return its result. DPM_E_CLOSED, DPM_E_FORKED. When the worker was never
  * started, runs it on the caller's thread. */
 int dpm_worker_call(dpm_worker *worker, int (*fn)(void *object, void *argument), void *object, void *argument);
-/* As dpm_bus_wait. */
+/* As dpm_bus_wait; a negative timeout or DPM_NEVER has no end. */
 int dpm_worker_wait(dpm_worker *worker, uint32_t seen, int64_t timeout);
 
-/* On the thread: run a pending call, if any (also drains wake_fd). */
+/* On the thread, whenever wake_fd is readable: drain it and run the pending call, if any. */
 void dpm_worker_serve(dpm_worker *worker);
 bool dpm_worker_stopping(const dpm_worker *worker);
 /* On the thread: `progress` differs from last time: wake the waiters. One relaxed load when nothing changed. */

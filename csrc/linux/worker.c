@@ -1,0 +1,210 @@
+/* SPDX-License-Identifier: MIT
+ *
+ * The worker: see worker.h. It may touch its own descriptor, mutex and thread, nothing else.
+ *
+ * Two rules shape it. The thread never waits for anybody: a call is handed over through one atomic pointer, and its
+ * caller sleeps on a futex word of its own. And nothing is touched in a forked child, not even the mutex, for another
+ * thread of the parent may have held it at the fork.
+ */
+#include "linux/worker.h"
+
+#include <errno.h>
+#include <limits.h>
+#include <linux/futex.h>
+#include <signal.h>
+#include <string.h>
+#include <sys/eventfd.h>
+#include <sys/syscall.h>
+#include <time.h>
+#include <unistd.h>
+
+/* The variant with 64-bit times where there are two, so that the size of time_t does not matter. */
+#ifdef SYS_futex_time64
+#define FUTEX SYS_futex_time64
+#else
+#define FUTEX SYS_futex
+#endif
+
+struct futex_time {
+    int64_t seconds;
+    int64_t nanoseconds;
+};
+
+/* A call waiting to be run; it lives on its caller's stack. */
+struct dpm_call {
+    int (*fn)(void *object, void *argument);
+    void *object;
+    void *argument;
+    int result;
+    _Atomic uint32_t done; /* futex word */
+};
+
+/* Sleep while *word equals `value`, until `deadline` of CLOCK_MONOTONIC. Returns 0 or -1 with errno. */
+static int futex_wait(_Atomic uint32_t *word, uint32_t value, int64_t deadline)
+{
+    /* Always with a time: a signal then ends the wait with EINTR even where its handler asks for SA_RESTART. */
+    struct futex_time time = {deadline / 1000000000, deadline % 1000000000};
+    return (int)syscall(FUTEX, word, FUTEX_WAIT_BITSET | FUTEX_PRIVATE_FLAG, value, &time, NULL,
+                        FUTEX_BITSET_MATCH_ANY);
+}
+
+static void futex_wake(_Atomic uint32_t *word)
+{
+    (void)syscall(FUTEX, word, FUTEX_WAKE | FUTEX_PRIVATE_FLAG, INT_MAX, NULL, NULL, 0);
+}
+
+static void wake_thread(dpm_worker *worker)
+{
+    uint64_t one = 1;
+    /* It fails only when the counter is full, and then the descriptor is readable anyway. */
+    ssize_t written = write(worker->wake_fd, &one, sizeof one);
+    (void)written;
+}
+
+/* 0, or why the worker cannot be used by this caller. */
+static int usable(const dpm_worker *worker)
+{
+    if (getpid() != worker->owner)
+        return DPM_E_FORKED;
+    return atomic_load(&worker->closing) ? DPM_E_CLOSED : DPM_OK;
+}
+
+int dpm_worker_init(dpm_worker *worker)
+{
+    memset(worker, 0, sizeof *worker);
+    worker->owner = getpid();
+    pthread_mutex_init(&worker->callers, NULL); /* never destroyed: late callers may still be queued; it owns nothing */
+    worker->wake_fd = eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
+    return worker->wake_fd < 0 ? DPM_E_SYSTEM : DPM_OK;
+}
+
+/* A new thread inherits the mask of its maker, so there is no moment in which a signal could hit it. */
+static int spawn(dpm_worker *worker, void *(*run)(void *), void *context)
+{
+    sigset_t all, before;
+    sigfillset(&all);
+    pthread_sigmask(SIG_SETMASK, &all, &before);
+    int error = pthread_create(&worker->thread, NULL, run, context);
+    pthread_sigmask(SIG_SETMASK, &before, NULL);
+    errno = error;
+    return error ? DPM_E_SYSTEM : DPM_OK;
+}
+
+int dpm_worker_start(dpm_worker *worker, void *(*run)(void *), void *context)
+{
+    int code = usable(worker);
+    if (code)
+        return code;
+    pthread_mutex_lock(&worker->callers);
+    code = usable(worker);
+    if (!code && worker->running)
+        code = DPM_E_MODE;
+    if (!code)
+        code = spawn(worker, run, context);
+    if (!code)
+        worker->running = true;
+    pthread_mutex_unlock(&worker->callers);
+    return code;
+}
+
+bool dpm_worker_stop(dpm_worker *worker)
+{
+    if (getpid() != worker->owner)
+        return false;
+    /* Turn new callers away first, or a crowd of them could keep us from the mutex for ever. The one that holds it is
+     * served by the thread, which is told to end only after that. */
+    atomic_store(&worker->closing, true);
+    pthread_mutex_lock(&worker->callers);
+    bool first = worker->wake_fd >= 0;
+    if (worker->running) {
+        atomic_store(&worker->stopping, true);
+        wake_thread(worker);
+        pthread_join(worker->thread, NULL);
+        worker->running = false;
+    }
+    if (first) {
+        close(worker->wake_fd);
+        worker->wake_fd = -1;
+        /* Changing the word also turns back a waiter that has looked at `closing` but does not sleep yet. */
+        atomic_fetch_add(&worker->progress, 1);
+        futex_wake(&worker->progress);
+    }
+    pthread_mutex_unlock(&worker->callers);
+    return first;
+}
+
+static int hand_over(dpm_worker *worker, struct dpm_call *call)
+{
+    atomic_store(&worker->pending, call);
+    wake_thread(worker);
+    /* A call is short and cannot be taken back: signals do not end this wait. */
+    while (!atomic_load(&call->done))
+        (void)futex_wait(&call->done, 0, DPM_NEVER);
+    return call->result;
+}
+
+int dpm_worker_call(dpm_worker *worker, int (*fn)(void *object, void *argument), void *object, void *argument)
+{
+    int code = usable(worker);
+    if (code)
+        return code;
+    struct dpm_call call = {fn, object, argument, DPM_OK, 0};
+    pthread_mutex_lock(&worker->callers);
+    code = usable(worker);
+    if (!code)
+        code = worker->running ? hand_over(worker, &call) : fn(object, argument);
+    pthread_mutex_unlock(&worker->callers);
+    return code;
+}
+
+static int64_t monotonic(void)
+{
+    struct timespec time;
+    clock_gettime(CLOCK_MONOTONIC, &time);
+    return (int64_t)time.tv_sec * 1000000000 + time.tv_nsec;
+}
+
+int dpm_worker_wait(dpm_worker *worker, uint32_t seen, int64_t timeout)
+{
+    int64_t now = monotonic();
+    int64_t deadline = timeout < 0 || timeout > DPM_NEVER - now ? DPM_NEVER : now + timeout;
+    int code = usable(worker);
+    while (!code && atomic_load(&worker->progress) == seen) {
+        atomic_fetch_add(&worker->waiters, 1);
+        int woken = futex_wait(&worker->progress, seen, deadline);
+        int why = errno;
+        atomic_fetch_sub(&worker->waiters, 1);
+        code = usable(worker);
+        if (!code && woken < 0 && why != EAGAIN)
+            code = why == ETIMEDOUT ? DPM_E_TIMEOUT : why == EINTR ? DPM_E_INTERRUPTED : DPM_E_SYSTEM;
+    }
+    return code;
+}
+
+void dpm_worker_serve(dpm_worker *worker)
+{
+    uint64_t count;
+    ssize_t drained = read(worker->wake_fd, &count, sizeof count);
+    (void)drained; /* drained first: a call that comes in from here on makes it readable again */
+    struct dpm_call *call = atomic_exchange(&worker->pending, NULL);
+    if (!call)
+        return;
+    call->result = call->fn(call->object, call->argument);
+    /* From the store on the caller may be gone; waking an address that nobody waits on does no harm. */
+    atomic_store(&call->done, 1);
+    futex_wake(&call->done);
+}
+
+bool dpm_worker_stopping(const dpm_worker *worker)
+{
+    return atomic_load_explicit(&worker->stopping, memory_order_relaxed);
+}
+
+void dpm_worker_publish(dpm_worker *worker, uint32_t progress)
+{
+    if (atomic_load_explicit(&worker->progress, memory_order_relaxed) == progress)
+        return;
+    atomic_store(&worker->progress, progress);
+    if (atomic_load(&worker->waiters))
+        futex_wake(&worker->progress);
+}
