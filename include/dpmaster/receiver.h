@@ -3,7 +3,8 @@
  * The stream receiver: octets with times and line errors in, good telegrams out. After noise it takes up the next
  * good telegram, wherever that begins, and counts every octet that it threw away by reason. An unfinished telegram
  * holds the line until it is complete, proved bad, or the bus has been silent for `patience`: octets inside a
- * telegram are never taken for one of their own.
+ * telegram are never taken for one of their own. A line error, a certain gap or silence breaks what is unfinished; good
+ * telegrams among its octets lay behind noise and are found then. Spans marked as echo are not for the receiver.
  */
 #ifndef DPMASTER_RECEIVER_H
 #define DPMASTER_RECEIVER_H
@@ -46,7 +47,7 @@ DPM_API int dpm_receiver_take(dpm_receiver *receiver, dpm_span *span, dpm_receiv
  * ones among its octets: returns 1 with one, 0 when there is none (left). Call it until it returns 0. */
 DPM_API int dpm_receiver_quiet(dpm_receiver *receiver, int64_t until, dpm_received *received);
 
-/* Throw away what is unfinished: we are about to talk. */
+/* Throw away what is unfinished, counted as incomplete: we are about to talk. */
 DPM_API void dpm_receiver_flush(dpm_receiver *receiver);
 
 /* When the silence that quiet() needs is over: the last octet's time plus patience, DPM_NEVER when nothing waits. */

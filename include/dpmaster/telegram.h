@@ -10,7 +10,8 @@
  *
  * FCS is the sum modulo 256 of DA .. last DU octet. Bit 7 of DA says that an extension octet follows FC, bit 7 of SA
  * that one follows after it. An extension octet holds a SAP in bits 5..0, or a segment address when bit 6 is set; its
- * bit 7 says that one more follows. DP uses one SAP octet on both sides or none.
+ * bit 7 says that one more follows: a segment may precede a SAP, nothing else is chained. DP uses
+ * one SAP octet on both sides or none.
  */
 #ifndef DPMASTER_TELEGRAM_H
 #define DPMASTER_TELEGRAM_H
@@ -88,7 +89,7 @@ enum dpm_reject {
     DPM_REJECT_FCS,           /* the sum is wrong */
     DPM_REJECT_END,           /* the end delimiter is not 16 */
     DPM_REJECT_ADDRESS,       /* SA 127, or a token from or for an address above 125 */
-    DPM_REJECT_EXTENSION,     /* address extensions that run past the telegram, or more than two on one side */
+    DPM_REJECT_EXTENSION,     /* extensions that run past the telegram, or chains other than segment, SAP */
     DPM_REJECT_LINE,          /* an octet came with a line error: parity, framing, overrun or break */
     DPM_REJECT_GAP,           /* certain pause inside a telegram */
     DPM_REJECT_INCOMPLETE,    /* the bus fell silent before the telegram was whole */
@@ -111,10 +112,13 @@ typedef struct dpm_telegram {
 
 /* Decode what begins at octets[0].
  * Returns the octets consumed (1..255) when they are a good telegram, 0 when more octets are needed to tell, or
- * -(enum dpm_reject) as soon as it is certain that no good telegram begins here. */
+ * -(enum dpm_reject) as soon as it is certain that no good telegram begins here. Only a good telegram is
+ * written to *telegram. */
 DPM_API int dpm_decode(const uint8_t *octets, size_t n, dpm_telegram *telegram);
 
-/* Encode `telegram` into out[0..size). Returns the octets written, or DPM_E_ARGUMENT, DPM_E_ADDRESS, DPM_E_LENGTH. */
+/* Encode `telegram` into out[0..size). Returns the octets written, or DPM_E_ARGUMENT, DPM_E_ADDRESS, DPM_E_LENGTH.
+ * What dpm_decode would not give back field by field is refused: data in an SD1, other than eight octets behind FC in
+ * an SD3, nothing behind FC in an SD2, anything but addresses in a token, anything at all in an SC. */
 DPM_API int dpm_encode(const dpm_telegram *telegram, uint8_t *out, size_t size);
 
 /* A short name of a reject reason for counters and messages: "FCS", "length twice", ... */
