@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: MIT
+"""The command line, ``dpmaster COMMAND``. A command is one file of this room with
+
+- ``NAME`` and ``HELP`` (one line), ``add_arguments(parser)``, and
+- ``run(args) -> int``, which returns the exit code and raises DPError for what went wrong.
+
+Commands only call what a program could call. Exit codes, the same for all of them: 0 done; 1 it failed, with one line on
+stderr that names the thing and the remedy; 2 the arguments are wrong; 130 Ctrl-C; 143 SIGTERM.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import signal
+import sys
+from collections.abc import Sequence
+from types import FrameType
+
+from dpmaster.errors import DPError
+
+# Every command, in the order of the help.
+COMMANDS: tuple[str, ...] = ()
+
+OK, FAILED, USAGE, INTERRUPTED, TERMINATED = 0, 1, 2, 128 + signal.SIGINT, 128 + signal.SIGTERM
+
+
+class Terminated(KeyboardInterrupt):
+    """SIGTERM came: leave as after Ctrl-C, through stop word and Clear. A command that ends well by it catches it."""
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="dpmaster",
+        description="A PROFIBUS-DP master, emulated drives to run it against, and instruments for the bus.",
+        epilog="Exit codes: 0 done, 1 failed, 2 wrong arguments, 130 Ctrl-C, 143 SIGTERM.",
+    )
+    subparsers = parser.add_subparsers(metavar="COMMAND", required=True)
+    for name in COMMANDS:
+        command = importlib.import_module(f"dpmaster.cli.{name}")
+        subparser = subparsers.add_parser(command.NAME, help=command.HELP, description=command.HELP)
+        subparser.set_defaults(run=command.run, command=command.NAME)
+        command.add_arguments(subparser)
+    return parser
+
+
+def _terminate(signum: int, frame: FrameType | None) -> None:
+    raise Terminated
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code; wrong arguments leave by SystemExit(2), as argparse does it."""
+    args = _parser().parse_args(argv)
+    before = signal.signal(signal.SIGTERM, _terminate)
+    try:
+        code: int = args.run(args)
+        sys.stdout.flush()
+        return code
+    except DPError as error:
+        print(f"dpmaster {args.command}: {error}", file=sys.stderr)
+        return FAILED
+    except BrokenPipeError:
+        # The reader of our output left (`| head`). The interpreter must not try to flush it once more at its end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return FAILED
+    except Terminated:
+        return TERMINATED
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    finally:
+        signal.signal(signal.SIGTERM, before)
