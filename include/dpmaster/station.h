@@ -51,15 +51,18 @@ typedef struct dpm_confirm {
     uint8_t length;
     const uint8_t *data;  /* valid during the call */
     int64_t tsdr;         /* ns from the request's end to the answer's first bit, as well as the port can tell; -1 */
+    int64_t start;        /* ns, when the last try began to leave */
     int64_t time;         /* ns, end of the answer or of the last wait */
 } dpm_confirm;
 
 /* A user of the station. next() fills `request` and returns 1, or returns 0: nothing (more) in this turn of the token,
- * and *wake says when there may be. confirm() is called exactly once for each request taken. */
+ * and lowers *wake to when there may be. confirm() is called exactly once for each request taken. token() tells that a
+ * new turn begins (held), or that a foreign master has the bus (not held); it may be NULL. */
 typedef struct dpm_fdl_user {
     void *context;
     int (*next)(void *context, int64_t now, dpm_request *request, int64_t *wake);
     void (*confirm)(void *context, int64_t now, const dpm_confirm *confirm);
+    void (*token)(void *context, int64_t now, bool held);
 } dpm_fdl_user;
 
 typedef struct dpm_fdl_statistics {

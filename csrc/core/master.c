@@ -1,0 +1,505 @@
+/* SPDX-License-Identifier: MIT
+ *
+ * The DP master class 1: modes, the cycle and its scheduler, Global_Control, the output watchdog, raw requests. What
+ * it does with one slave is in slave_handler.c; the telegrams' way over the bus is the FDL station's.
+ */
+#include "core/master_private.h"
+
+#include <string.h>
+
+#include "dpmaster/error.h"
+#include "dpmaster/identifier.h"
+
+/* Tries of absent slaves may cost this part of the bus's time once other slaves exchange data: one in so many. */
+#define TRY_SHARE 20
+/* A cycle in which no slave was asked is not repeated before this has passed, ns. */
+#define EMPTY_CYCLE 1000000
+
+enum { COMMAND_OPERATE = 0x00, COMMAND_CLEAR = 0x02 };
+
+static int64_t min_of(int64_t a, int64_t b) { return a < b ? a : b; }
+
+static void put_event(dpm_master *m, int64_t now, uint16_t kind, int32_t a, int32_t b)
+{
+    const dpm_event event = {.time = now, .kind = kind, .address = -1, .a = a, .b = b};
+    dpm_station_event(&m->station, &event);
+}
+
+/* --- outputs and the watchdog over the program ------------------------------------------------------------------ */
+
+static void make_outputs_safe(dpm_master *m, bool latch)
+{
+    for (unsigned i = 0; i < m->n_slaves; i++)
+        dpm_outputs_make_safe(m->slaves[i].outputs, latch);
+}
+
+static void enter_mode(dpm_master *m, uint8_t mode, int64_t now)
+{
+    const uint8_t old = m->mode;
+    if (old == mode)
+        return;
+    m->mode = mode;
+    m->control_due = true;
+    put_event(m, now, DPM_EV_MODE, mode, old);
+}
+
+void dpm_master_feed(dpm_master *master, int64_t now, int by)
+{
+    atomic_store_explicit(&master->fed_by, by, memory_order_relaxed);
+    atomic_store_explicit(&master->fed_at, now, memory_order_release);
+    if (by == DPM_FED_COMMIT)
+        atomic_store_explicit(&master->armed, true, memory_order_release);
+}
+
+/* When the output watchdog runs out; outputs that no commit has ever touched are safe already. */
+static int64_t watchdog_at(const dpm_master *m)
+{
+    if (m->mode != DPM_MODE_OPERATE || !m->config.output_watchdog ||
+        !atomic_load_explicit(&m->armed, memory_order_acquire))
+        return DPM_NEVER;
+    return atomic_load_explicit(&m->fed_at, memory_order_acquire) + m->config.output_watchdog;
+}
+
+static void judge_watchdog(dpm_master *m, int64_t now)
+{
+    if (now <= watchdog_at(m))
+        return;
+    m->latched = true;
+    make_outputs_safe(m, true);
+    enter_mode(m, DPM_MODE_CLEAR, now);
+    put_event(m, now, DPM_EV_WATCHDOG, atomic_load_explicit(&m->fed_by, memory_order_relaxed), 0);
+}
+
+/* --- the cycle --------------------------------------------------------------------------------------------------- */
+
+static bool begin_cycle(dpm_master *m, int64_t now, int64_t *wake)
+{
+    if (!m->fresh_token)
+        return false;
+    if (now < m->cycle_at) {
+        *wake = min_of(*wake, m->cycle_at);
+        return false;
+    }
+    m->fresh_token = false;
+    m->in_cycle = true;
+    m->turn = 0;
+    m->asked = 0;
+    m->tried = false;
+    if (m->cycle_start && m->cycle) {
+        m->cycle_last = now - m->cycle_start;
+        m->cycle_max = m->cycle_last > m->cycle_max ? m->cycle_last : m->cycle_max;
+    }
+    m->cycle_start = now;
+    return true;
+}
+
+static void end_cycle(dpm_master *m, int64_t now, int64_t *wake)
+{
+    int64_t interval = m->config.cycle_time;
+    for (unsigned i = 0; i < m->n_slaves; i++)
+        if (m->slaves[i].state == DPM_ST_DATA && m->slaves[i].interval > interval)
+            interval = m->slaves[i].interval;
+    if (!m->asked && interval < EMPTY_CYCLE)
+        interval = EMPTY_CYCLE;
+    m->in_cycle = false;
+    m->cycle++;
+    m->station.machine.progress++;
+    /* A fixed cycle keeps its raster, whenever the host woke; one that overran begins at once. */
+    m->cycle_at = (m->config.cycle_time ? m->cycle_at : m->cycle_start) + interval;
+    m->cycle_at = m->cycle_at > now ? m->cycle_at : now;
+    *wake = min_of(*wake, m->cycle_at);
+}
+
+static bool control_request(dpm_master *m, int64_t now, dpm_request *request)
+{
+    if (m->mode < DPM_MODE_CLEAR || (!m->control_due && now < m->control_at))
+        return false;
+    m->control_due = false;
+    m->control_at = now + m->config.control_interval;
+    m->pdu[0] = m->mode == DPM_MODE_OPERATE && !m->leaving ? COMMAND_OPERATE : COMMAND_CLEAR;
+    m->pdu[1] = 0; /* all groups */
+    *request = (dpm_request){.da = DPM_BROADCAST, .function = DPM_SDN_HIGH, .dsap = DPM_SAP_GLOBAL_CONTROL,
+                             .ssap = DPM_SAP_MASTER, .length = 2, .data = m->pdu};
+    m->current = NULL;
+    return true;
+}
+
+/* The slaves' turn; one that may not be asked yet (Min_Slave_Interval) keeps its place until then. */
+static bool slave_request(dpm_master *m, int64_t now, dpm_request *request, int64_t *wake)
+{
+    for (; m->turn < m->n_slaves; m->turn++) {
+        dpm_slave *slave = &m->slaves[m->turn];
+        if (!dpm_slave_wants(slave))
+            continue;
+        if (now < slave->not_before) {
+            if (slave->state == DPM_ST_DATA) {
+                *wake = min_of(*wake, slave->not_before);
+                return false;
+            }
+            continue;
+        }
+        m->asked++;
+        m->turn++;
+        dpm_slave_request(m, slave, now, request);
+        return true;
+    }
+    return false;
+}
+
+/* One absent slave may be tried per cycle, in turn. Once others exchange data, what a try without an answer costs is
+ * spread over TRY_SHARE times as long; a slave that was never tried, or that was just lost, need not wait. */
+static bool try_request(dpm_master *m, int64_t now, dpm_request *request)
+{
+    dpm_slave *found = NULL;
+    for (unsigned i = 0; i < m->n_slaves && !m->tried; i++) {
+        dpm_slave *slave = &m->slaves[(m->try_turn + i) % m->n_slaves];
+        if (slave->state != DPM_ST_OFFLINE || now < slave->not_before || (slave->tries && now < m->try_at))
+            continue;
+        found = slave;
+        m->try_turn = (m->try_turn + i + 1) % m->n_slaves;
+        break;
+    }
+    if (!found)
+        return false;
+    m->tried = true;
+    m->asked++;
+    dpm_slave_request(m, found, now, request);
+    return true;
+}
+
+static bool anyone_leaving(const dpm_master *m)
+{
+    for (unsigned i = 0; i < m->n_slaves; i++)
+        if (m->slaves[i].state == DPM_ST_LEAVING)
+            return true;
+    return false;
+}
+
+/* The way out is done when every slave that was ours has been unlocked, or could not be reached. */
+static void finish_leaving(dpm_master *m, int64_t now)
+{
+    if (!m->leaving || anyone_leaving(m))
+        return;
+    m->leaving = false;
+    enter_mode(m, m->target, now);
+    if (m->target == DPM_MODE_OFFLINE)
+        dpm_station_online(&m->station, false);
+}
+
+static int master_next(void *context, int64_t now, dpm_request *request, int64_t *wake)
+{
+    dpm_master *m = context;
+    finish_leaving(m, now);
+    *wake = min_of(*wake, watchdog_at(m));
+    if (m->mode < DPM_MODE_CLEAR)
+        return 0;
+    if (!m->in_cycle && !begin_cycle(m, now, wake))
+        return 0;
+    if (m->turn == 0 && control_request(m, now, request))
+        return 1;
+    if (slave_request(m, now, request, wake))
+        return 1;
+    if (m->turn < m->n_slaves)
+        return 0;
+    if (!m->leaving && try_request(m, now, request))
+        return 1;
+    end_cycle(m, now, wake);
+    return 0;
+}
+
+static void master_confirm(void *context, int64_t now, const dpm_confirm *confirm)
+{
+    dpm_master *m = context;
+    dpm_slave *slave = m->current;
+    m->current = NULL;
+    if (!slave)
+        return;
+    if (slave->state == DPM_ST_OFFLINE && confirm->status == DPM_CONF_NA)
+        m->try_at = now + (dpm_master_exchanges(m) ? TRY_SHARE * (now - confirm->start) : 0);
+    dpm_slave_confirm(m, slave, now, confirm);
+}
+
+bool dpm_master_exchanges(const dpm_master *m)
+{
+    for (unsigned i = 0; i < m->n_slaves; i++)
+        if (m->slaves[i].state == DPM_ST_DATA)
+            return true;
+    return false;
+}
+
+static void lose_all(dpm_master *m, int64_t now)
+{
+    for (unsigned i = 0; i < m->n_slaves; i++)
+        dpm_slave_lose(m, &m->slaves[i], now, DPM_WHY_BUS, 0);
+    m->in_cycle = false;
+}
+
+static void master_token(void *context, int64_t now, bool held)
+{
+    dpm_master *m = context;
+    m->fresh_token = held;
+    if (held)
+        return;
+    lose_all(m, now);
+    finish_leaving(m, now);
+}
+
+/* --- raw requests ------------------------------------------------------------------------------------------------ */
+
+static int raw_next(void *context, int64_t now, dpm_request *request, int64_t *wake)
+{
+    dpm_master *m = context;
+    const dpm_raw *raw = m->raw;
+    (void)now;
+    (void)wake;
+    if (!raw || m->raw_out)
+        return 0;
+    m->raw_out = true;
+    *request = (dpm_request){.da = raw->da, .function = raw->function, .dsap = raw->dsap, .ssap = raw->ssap,
+                             .retries = m->config.station.parameters.max_retry_limit,
+                             .length = raw->length, .data = raw->data};
+    return 1;
+}
+
+static void raw_confirm(void *context, int64_t now, const dpm_confirm *confirm)
+{
+    dpm_master *m = context;
+    dpm_raw *raw = m->raw;
+    (void)now;
+    m->raw_out = false;
+    if (!raw)
+        return; /* cancelled meanwhile */
+    m->raw = NULL;
+    raw->status = confirm->status;
+    raw->fc = confirm->fc;
+    raw->short_ack = confirm->short_ack;
+    raw->tries = confirm->tries;
+    raw->tsdr = confirm->tsdr;
+    raw->answer_length = confirm->length;
+    if (confirm->length)
+        memcpy(raw->answer, confirm->data, confirm->length);
+    raw->done = true;
+    m->station.machine.progress++;
+}
+
+int dpm_master_request(dpm_master *master, dpm_raw *raw)
+{
+    if (master->raw || master->raw_out)
+        return DPM_E_BUSY;
+    if (master->mode == DPM_MODE_OFFLINE)
+        return DPM_E_MODE;
+    raw->done = false;
+    master->raw = raw;
+    return DPM_OK;
+}
+
+void dpm_master_cancel(dpm_master *master, dpm_raw *raw)
+{
+    if (master->raw == raw)
+        master->raw = NULL;
+}
+
+/* --- modes ------------------------------------------------------------------------------------------------------- */
+
+/* Unlock what is ours, by the cycle's own means; without the token there is nobody to tell. */
+static void leave(dpm_master *m, uint8_t target, int64_t now)
+{
+    const int fdl = dpm_station_state(&m->station);
+    m->target = target;
+    m->leaving = true;
+    for (unsigned i = 0; i < m->n_slaves; i++)
+        dpm_slave_leave(m, &m->slaves[i], now, fdl >= DPM_FDL_USE_TOKEN && m->mode >= DPM_MODE_CLEAR);
+    m->control_due = true;
+    m->cycle_at = now;
+    finish_leaving(m, now);
+}
+
+static void operate(dpm_master *m, int64_t now)
+{
+    m->latched = false;
+    atomic_store_explicit(&m->armed, false, memory_order_release);
+    dpm_master_feed(m, now, DPM_FED_OPERATE);
+    for (unsigned i = 0; i < m->n_slaves; i++)
+        dpm_outputs_unlatch(m->slaves[i].outputs);
+    enter_mode(m, DPM_MODE_OPERATE, now);
+}
+
+int dpm_master_set_mode(dpm_master *master, int mode, int64_t now)
+{
+    if (mode != DPM_MODE_OFFLINE && mode != DPM_MODE_STOP && mode != DPM_MODE_CLEAR && mode != DPM_MODE_OPERATE)
+        return DPM_E_ARGUMENT;
+    if (mode != DPM_MODE_OFFLINE)
+        dpm_station_online(&master->station, master->port_works);
+    if (master->mode == DPM_MODE_OPERATE && mode != DPM_MODE_OPERATE)
+        make_outputs_safe(master, false);
+    if (mode <= DPM_MODE_STOP && master->mode != mode) {
+        leave(master, (uint8_t)mode, now);
+        return DPM_OK;
+    }
+    master->leaving = false;
+    if (mode == DPM_MODE_OPERATE)
+        operate(master, now);
+    else
+        enter_mode(master, (uint8_t)mode, now);
+    return DPM_OK;
+}
+
+void dpm_master_port(dpm_master *master, bool working, int64_t now)
+{
+    master->port_works = working;
+    dpm_station_online(&master->station, false);
+    lose_all(master, now);
+    if (working && master->mode != DPM_MODE_OFFLINE)
+        dpm_station_online(&master->station, true);
+    finish_leaving(master, now);
+}
+
+/* --- the machine -------------------------------------------------------------------------------------------------- */
+
+static void master_ask(dpm_machine *machine, int64_t now, dpm_offer *offer)
+{
+    dpm_master *m = (dpm_master *)machine;
+    judge_watchdog(m, now);
+    m->station_ask(machine, now, offer);
+    offer->wake = min_of(offer->wake, watchdog_at(m));
+}
+
+/* --- set-up ------------------------------------------------------------------------------------------------------- */
+
+size_t dpm_master_size(uint16_t slaves) { return sizeof(dpm_master) + slaves * sizeof(dpm_slave); }
+
+int dpm_master_init(void *block, size_t size, const dpm_master_config *config, dpm_master **master)
+{
+    dpm_station *station;
+    if (config->slaves < 1 || config->slaves > 126 || config->cycle_time < 0 || config->output_watchdog < 0 ||
+        config->control_interval < 1)
+        return DPM_E_ARGUMENT;
+    if (!block || size < dpm_master_size(config->slaves))
+        return DPM_E_BLOCK;
+    memset(block, 0, size);
+    const int result = dpm_station_init(block, size, &config->station, &station);
+    if (result < 0)
+        return result;
+    dpm_master *m = block;
+    m->config = *config;
+    m->port_works = true;
+    m->station_ask = station->machine.ask;
+    station->machine.ask = master_ask;
+    const dpm_fdl_user dp = {.context = m, .next = master_next, .confirm = master_confirm, .token = master_token};
+    const dpm_fdl_user raw = {.context = m, .next = raw_next, .confirm = raw_confirm};
+    dpm_station_add_user(station, &dp);
+    dpm_station_add_user(station, &raw);
+    *master = m;
+    return DPM_OK;
+}
+
+dpm_machine *dpm_master_machine(dpm_master *master) { return &master->station.machine; }
+
+dpm_station *dpm_master_station(dpm_master *master) { return &master->station; }
+
+static int check_set(const dpm_master *m, const dpm_slave_set *set, uint16_t *inputs, uint16_t *outputs)
+{
+    if (set->address > DPM_ADDRESS_MAX || set->address == m->config.station.address)
+        return DPM_E_ADDRESS;
+    if (set->configuration_length < 1 || set->configuration_length > DPM_IO_MAX || set->user_parameters_length > 237)
+        return DPM_E_LENGTH;
+    if ((set->wd_fact_1 == 0) != (set->wd_fact_2 == 0))
+        return DPM_E_ARGUMENT;
+    return dpm_configuration_lengths(set->configuration, set->configuration_length, inputs, outputs) < 0
+               ? DPM_E_CONFIGURATION
+               : DPM_OK;
+}
+
+static void take_set(dpm_slave *slave, const dpm_slave_set *set)
+{
+    slave->set = *set;
+    slave->interval = (int64_t)set->min_slave_interval * 100000; /* unit 100 us */
+}
+
+int dpm_master_add(dpm_master *master, const dpm_slave_set *set, dpm_outputs *outputs, dpm_image *inputs)
+{
+    uint16_t input_length, output_length;
+    const int result = check_set(master, set, &input_length, &output_length);
+    if (result < 0)
+        return result;
+    for (unsigned i = 0; i < master->n_slaves; i++)
+        if (master->slaves[i].set.address == set->address)
+            return DPM_E_DUPLICATE;
+    if (master->n_slaves == master->config.slaves)
+        return DPM_E_FULL;
+    dpm_slave *slave = &master->slaves[master->n_slaves];
+    memset(slave, 0, sizeof *slave);
+    take_set(slave, set);
+    slave->outputs = outputs;
+    slave->inputs = inputs;
+    slave->input_length = input_length;
+    slave->output_length = output_length;
+    slave->received.length = input_length;
+    slave->state = set->active ? DPM_ST_OFFLINE : DPM_ST_INACTIVE;
+    slave->statistics.tsdr_min = -1;
+    slave->statistics.tsdr_max = -1;
+    if (master->latched)
+        dpm_outputs_make_safe(outputs, true);
+    return (int)master->n_slaves++;
+}
+
+int dpm_master_change(dpm_master *master, int index, const dpm_slave_set *set)
+{
+    uint16_t inputs, outputs;
+    if (index < 0 || index >= (int)master->n_slaves)
+        return DPM_E_ARGUMENT;
+    dpm_slave *slave = &master->slaves[index];
+    const int result = check_set(master, set, &inputs, &outputs);
+    if (result < 0)
+        return result;
+    if (set->address != slave->set.address)
+        return DPM_E_ADDRESS;
+    if (inputs != slave->input_length || outputs != slave->output_length)
+        return DPM_E_LENGTH;
+    take_set(slave, set);
+    return DPM_OK;
+}
+
+/* --- what onlookers read ----------------------------------------------------------------------------------------- */
+
+void dpm_master_get_status(const dpm_master *master, dpm_master_status *status)
+{
+    *status = (dpm_master_status){
+        .mode = master->mode,
+        .fdl_state = (uint8_t)dpm_station_state(&master->station),
+        .latched = master->latched,
+        .fed_by = (uint8_t)atomic_load_explicit(&master->fed_by, memory_order_relaxed),
+        .foreign = master->station.foreign,
+        .cycle = master->cycle,
+        .cycle_last = master->cycle_last,
+        .cycle_max = master->cycle_max,
+        .fdl = *dpm_station_statistics(&master->station),
+    };
+}
+
+int dpm_master_get_slave(const dpm_master *master, int index, dpm_slave_status *status)
+{
+    if (index < 0 || index >= (int)master->n_slaves)
+        return DPM_E_ARGUMENT;
+    const dpm_slave *slave = &master->slaves[index];
+    *status = (dpm_slave_status){
+        .state = slave->state,
+        .reason = slave->reason,
+        .detail = slave->detail,
+        .diagnosis_length = slave->diagnosis_length,
+        .diagnosis_number = slave->diagnosis_number,
+        .diagnosis_time = slave->diagnosis_time,
+        .statistics = slave->statistics,
+    };
+    memcpy(status->diagnosis, slave->diagnosis, sizeof status->diagnosis);
+    return DPM_OK;
+}
+
+void dpm_master_record(dpm_master *master, int64_t *durations, size_t n)
+{
+    master->record = durations;
+    master->record_size = durations ? n : 0;
+    master->recorded = 0;
+}
+
+size_t dpm_master_recorded(const dpm_master *master) { return master->recorded; }

@@ -1,0 +1,86 @@
+/* SPDX-License-Identifier: MIT
+ *
+ * The DP master's memory, shared by master.c (the cycle) and slave_handler.c (one slave).
+ */
+#ifndef DPM_CORE_MASTER_PRIVATE_H
+#define DPM_CORE_MASTER_PRIVATE_H
+
+#include <stdatomic.h>
+
+#include "core/station_private.h"
+#include "dpmaster/master.h"
+
+/* What was asked of a slave; the confirmation is judged by it. */
+enum dpm_service { DPM_ASK_DIAG, DPM_ASK_PRM, DPM_ASK_CFG, DPM_ASK_DATA, DPM_ASK_UNLOCK };
+
+typedef struct dpm_slave {
+    dpm_slave_set set;
+    dpm_outputs *outputs;
+    dpm_image *inputs;
+    uint16_t input_length, output_length;
+    uint8_t state;          /* enum dpm_station_state */
+    uint8_t asked;          /* enum dpm_service */
+    uint8_t reason;         /* enum dpm_reason */
+    int32_t detail;
+    bool diagnosis_pending; /* DH came, or static diagnosis stands */
+    bool greeted;           /* its first Data_Exchange was answered: Global_Control has told it the mode */
+    bool returning;         /* it was in Data_Exchange before: safe outputs at its return */
+    uint32_t tries;         /* requests without an answer since it was heard last */
+    int64_t pause;          /* ns after the next refusal; grows with each in a row */
+    int64_t interval;       /* Min_Slave_Interval, ns */
+    int64_t not_before;     /* the next request to it */
+    uint64_t carried;       /* commit in the Data_Exchange under way */
+    dpm_frame received;     /* the inputs published last */
+    uint8_t diagnosis[DPM_IO_MAX];
+    uint8_t diagnosis_length;
+    uint64_t diagnosis_number;
+    int64_t diagnosis_time;
+    dpm_slave_statistics statistics;
+} dpm_slave;
+
+struct dpm_master {
+    dpm_station station; /* first: the master's machine is the station's */
+    void (*station_ask)(dpm_machine *, int64_t, dpm_offer *);
+    dpm_master_config config;
+    uint8_t mode, target; /* enum dpm_mode; target while leaving */
+    bool leaving;
+    bool latched;
+    bool port_works;
+    _Atomic int64_t fed_at;
+    _Atomic int fed_by;
+    atomic_bool armed;    /* a commit was made since operate() */
+
+    bool fresh_token;     /* a turn of the token that has not begun a cycle yet */
+    bool in_cycle;
+    bool tried;
+    bool control_due;
+    unsigned turn, try_turn, asked;
+    uint64_t cycle;
+    int64_t cycle_start, cycle_at, cycle_last, cycle_max;
+    int64_t control_at, try_at;
+
+    dpm_slave *current;   /* whose request is under way */
+    uint8_t pdu[DPM_IO_MAX];
+    dpm_raw *raw;
+    bool raw_out;         /* the station has it */
+
+    int64_t *record;
+    size_t record_size, recorded;
+
+    unsigned n_slaves;
+    dpm_slave slaves[];
+};
+
+/* slave_handler.c */
+bool dpm_slave_wants(const dpm_slave *slave);
+void dpm_slave_request(dpm_master *master, dpm_slave *slave, int64_t now, dpm_request *request);
+void dpm_slave_confirm(dpm_master *master, dpm_slave *slave, int64_t now, const dpm_confirm *confirm);
+/* Gone, for a reason; back to OFFLINE. Slaves that were not there lose nothing. */
+void dpm_slave_lose(dpm_master *master, dpm_slave *slave, int64_t now, uint8_t reason, int32_t detail);
+/* The master leaves: unlock it (`reachable`), or just forget it. */
+void dpm_slave_leave(dpm_master *master, dpm_slave *slave, int64_t now, bool reachable);
+
+/* master.c */
+bool dpm_master_exchanges(const dpm_master *master);
+
+#endif

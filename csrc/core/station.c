@@ -1,0 +1,533 @@
+/* SPDX-License-Identifier: MIT
+ *
+ * The active FDL station (IEC 61158-4-3 clause 8), today as a sole master. To be read beside the standard's diagram:
+ * each state has its reaction to a telegram (receive_*), to silence (station_quiet) and to "what now?" (station_ask).
+ */
+#include "core/station_private.h"
+
+#include <string.h>
+
+#include "dpmaster/error.h"
+
+#define FC_CODE(fc) ((fc) & 0x0F)
+
+void dpm_station_event(dpm_station *station, const dpm_event *event)
+{
+    for (unsigned i = 0; i < DPM_STATION_RINGS; i++)
+        if (station->rings[i])
+            dpm_ring_put(station->rings[i], event);
+    station->machine.progress++;
+}
+
+static void put_event(dpm_station *st, int64_t time, uint16_t kind, int32_t a, int32_t b, int64_t value)
+{
+    const dpm_event event = {.time = time, .kind = kind, .address = -1, .a = a, .b = b, .value = value};
+    dpm_station_event(st, &event);
+}
+
+/* --- small facts ------------------------------------------------------------------------------------------------ */
+
+static int64_t max_of(int64_t a, int64_t b) { return a > b ? a : b; }
+
+static int64_t min_of(int64_t a, int64_t b) { return a < b ? a : b; }
+
+static bool in_ring(uint8_t state) { return state >= DPM_FDL_USE_TOKEN; }
+
+static bool is_sdn(uint8_t function) { return function == DPM_SDN_LOW || function == DPM_SDN_HIGH; }
+
+static bool counts_frames(uint8_t function)
+{
+    return function == DPM_SRD_LOW || function == DPM_SRD_HIGH || function == DPM_SDA_LOW || function == DPM_SDA_HIGH;
+}
+
+/* Use_Token, Await_Data_Response and Pass_Token change with every telegram; onlookers care for being in the ring. */
+static void enter(dpm_station *st, uint8_t state, int64_t now)
+{
+    const uint8_t old = st->state;
+    st->state = state;
+    if (old != state && !(in_ring(old) && in_ring(state)))
+        put_event(st, now, DPM_EV_FDL, state, old, 0);
+}
+
+/* Something was on the bus until `end`: nothing of ours begins before `idle` has passed. */
+static void bus_busy(dpm_station *st, int64_t end, int64_t idle)
+{
+    st->last_activity = max_of(st->last_activity, end);
+    st->not_before = max_of(st->not_before, end + idle);
+}
+
+/* The latest moment at which our right to talk still stands: then others may take the token for lost. */
+static int64_t right_ends(const dpm_station *st) { return st->last_activity + st->tto + st->config.traits.allowance; }
+
+/* --- the exchange under way ------------------------------------------------------------------------------------- */
+
+static void finish(dpm_station *st, int64_t now, dpm_confirm *confirm)
+{
+    dpm_fdl_user *user = st->user;
+    st->user = NULL;
+    if (st->tx_kind == DPM_TX_REQUEST)
+        st->tx_kind = DPM_TX_NONE;
+    if (st->state == DPM_FDL_AWAIT_DATA_RESPONSE)
+        st->state = DPM_FDL_USE_TOKEN;
+    confirm->tries = st->tries;
+    confirm->start = st->tx_start;
+    confirm->time = now;
+    user->confirm(user->context, now, confirm);
+}
+
+/* Ended without an answer. Whether the responder took it is unknown, so its FCB starts anew (EN 50170 part 4: after
+ * max_retry_limit the station is "not operational" and the next request to it is a first contact). */
+static void finish_unanswered(dpm_station *st, int64_t now, uint8_t status)
+{
+    dpm_confirm confirm = {.status = status, .tsdr = -1};
+    st->fcb[st->da] = DPM_FCB_UNKNOWN;
+    if (status == DPM_CONF_NA)
+        st->statistics.unanswered++;
+    finish(st, now, &confirm);
+}
+
+static void finish_answered(dpm_station *st, const dpm_received *rx, uint8_t status)
+{
+    const dpm_telegram *t = &rx->telegram;
+    const bool sc = t->format == DPM_SC;
+    dpm_confirm confirm = {
+        .status = status,
+        .fc = sc ? 0 : t->fc,
+        .short_ack = sc,
+        .length = sc ? 0 : t->length,
+        .data = t->data,
+        .tsdr = max_of(rx->start_latest - st->tx_end_latest, 0),
+    };
+    st->statistics.answers++;
+    if (counts_frames(st->function))
+        st->fcb[st->da] = st->fcb[st->da] == DPM_FCB_NEXT_0 ? DPM_FCB_NEXT_1 : DPM_FCB_NEXT_0;
+    /* Each try may have been answered: what a slow responder still sends for an earlier one must not meet the next
+     * exchange, so the slot of the last try runs out first. */
+    if (st->tries > 1)
+        st->not_before = max_of(st->not_before, st->tx_end_latest + st->tsl);
+    finish(st, rx->end_latest, &confirm);
+}
+
+/* Leave the ring at once: a foreign master has the bus, or we were silent for too long. */
+static void give_way(dpm_station *st, int64_t now, bool foreign)
+{
+    const bool held = in_ring(st->state) || st->state == DPM_FDL_CLAIM_TOKEN;
+    if (st->user)
+        finish_unanswered(st, now, DPM_CONF_DS);
+    st->tx_kind = DPM_TX_NONE;
+    enter(st, DPM_FDL_LISTEN_TOKEN, now);
+    for (unsigned i = 0; held && foreign && i < st->n_users; i++)
+        if (st->users[i].token)
+            st->users[i].token(st->users[i].context, now, false);
+}
+
+/* --- telegrams received ------------------------------------------------------------------------------------------ */
+
+static void heard_foreign(dpm_station *st, uint8_t address, int64_t now)
+{
+    st->statistics.foreign++;
+    st->foreign = address;
+    if (st->state == DPM_FDL_LISTEN_TOKEN)
+        return;
+    put_event(st, now, DPM_EV_FOREIGN, address, 0, 0);
+    give_way(st, now, true);
+}
+
+/* Requests to us: FDL status says "master, not ready for the ring"; no SAP is open. SDN is never answered. */
+static void reply(dpm_station *st, const dpm_received *rx)
+{
+    const dpm_telegram *t = &rx->telegram;
+    const bool status = FC_CODE(t->fc) == DPM_FDL_STATUS;
+    const dpm_telegram answer = {
+        .format = DPM_SD1,
+        .da = t->sa,
+        .sa = st->config.address,
+        .fc = (uint8_t)(DPM_TYPE_MASTER_NOT_READY | (status ? DPM_RES_OK : DPM_RES_RS)),
+        .dsap = DPM_NO_SAP, .ssap = DPM_NO_SAP, .dsegment = -1, .ssegment = -1,
+    };
+    const int n = dpm_encode(&answer, st->tx, sizeof st->tx);
+    if (n < 0)
+        return;
+    st->tx_n = (uint16_t)n;
+    st->tx_kind = DPM_TX_REPLY;
+    st->tx_not_before = rx->end_latest + st->min_tsdr;
+    st->tx_not_after = rx->end_earliest + st->max_tsdr + st->config.traits.allowance;
+}
+
+/* An answer mirrors the request's SAPs; one without data (RS, UE, RR, NR) may leave them out. */
+static bool mirrors_saps(const dpm_station *st, const dpm_telegram *t)
+{
+    return (t->dsap == st->ssap && t->ssap == st->dsap) || t->format == DPM_SD1;
+}
+
+/* Whether a response or SC belongs to the exchange under way; else it belongs to nobody: late, doubled, foreign. */
+static bool is_answer(const dpm_station *st, const dpm_received *rx)
+{
+    const dpm_telegram *t = &rx->telegram;
+    if (st->state != DPM_FDL_AWAIT_DATA_RESPONSE || st->tx_kind != DPM_TX_NONE || rx->end_latest <= st->tx_end_earliest)
+        return false;
+    if (t->format == DPM_SC)
+        return counts_frames(st->function);
+    return t->sa == st->da && t->da == st->config.address;
+}
+
+static void receive(dpm_station *st, const dpm_received *rx)
+{
+    const dpm_telegram *t = &rx->telegram;
+    const bool token = t->format == DPM_SD4;
+    const bool request = !token && t->format != DPM_SC && (t->fc & DPM_FC_REQUEST);
+    if (st->state == DPM_FDL_OFFLINE)
+        return;
+    if ((token || request) && t->sa != st->config.address) {
+        heard_foreign(st, t->sa, rx->end_latest);
+        if (request && t->da == st->config.address && !is_sdn(FC_CODE(t->fc)))
+            reply(st, rx);
+    } else if (!token && !request && is_answer(st, rx)) {
+        finish_answered(st, rx, t->format == DPM_SC || mirrors_saps(st, t) ? DPM_CONF_ANSWER : DPM_CONF_INVALID);
+    } else {
+        st->statistics.stray++;
+    }
+}
+
+/* --- the machine's inputs --------------------------------------------------------------------------------------- */
+
+static void station_octets(dpm_machine *machine, const dpm_span *given)
+{
+    dpm_station *st = (dpm_station *)machine;
+    dpm_span span = *given;
+    dpm_received rx;
+    if (span.n == 0 || st->state == DPM_FDL_OFFLINE)
+        return;
+    const int64_t end = span.latest + (int64_t)(span.n - 1) * span.spacing;
+    bus_busy(st, end, st->tid1);
+    if (span.echo)
+        return;
+    st->heard = end;
+    if (st->tx_kind == DPM_TX_REPLY)
+        st->tx_kind = DPM_TX_NONE; /* the bus went on without it */
+    while (dpm_receiver_take(&st->receiver, &span, &rx))
+        receive(st, &rx);
+}
+
+/* The slot is over when nothing has begun in it; what has begun may end, but a babbler is not waited for. */
+static bool slot_is_over(const dpm_station *st, int64_t until)
+{
+    if (until < st->deadline)
+        return false;
+    if (st->heard < 0 || until >= st->deadline + st->tsyni)
+        return true;
+    return until >= st->heard + st->tsyn + st->config.traits.granularity;
+}
+
+static void slot_ran_out(dpm_station *st, int64_t until)
+{
+    if (st->tries > st->retries) {
+        finish_unanswered(st, until, DPM_CONF_NA);
+        return;
+    }
+    /* The repetition is the first try octet for octet: tx still holds it. */
+    st->tx_kind = DPM_TX_REQUEST;
+    st->tx_not_before = st->not_before;
+}
+
+static void station_quiet(dpm_machine *machine, int64_t until)
+{
+    dpm_station *st = (dpm_station *)machine;
+    dpm_received rx;
+    while (dpm_receiver_quiet(&st->receiver, until, &rx))
+        receive(st, &rx);
+    /* EN 50170 part 4: after Tto of silence the station with the lowest address claims the token, with two tokens. */
+    if (st->state == DPM_FDL_LISTEN_TOKEN && st->last_activity >= 0 && until >= right_ends(st)) {
+        st->claims = 2;
+        enter(st, DPM_FDL_CLAIM_TOKEN, until);
+    }
+    if (st->state == DPM_FDL_AWAIT_DATA_RESPONSE && st->tx_kind == DPM_TX_NONE && slot_is_over(st, until))
+        slot_ran_out(st, until);
+}
+
+static void token_sent(dpm_station *st, int64_t now)
+{
+    st->statistics.tokens++;
+    if (st->state == DPM_FDL_CLAIM_TOKEN && --st->claims > 0)
+        return;
+    /* NS is TS: passing the token is receiving it. */
+    st->worked = false;
+    enter(st, DPM_FDL_USE_TOKEN, now);
+    for (unsigned i = 0; i < st->n_users; i++)
+        if (st->users[i].token)
+            st->users[i].token(st->users[i].context, now, true);
+}
+
+static void request_sent(dpm_station *st)
+{
+    st->tries++;
+    st->worked = true;
+    if (is_sdn(st->function)) {
+        dpm_confirm confirm = {.status = DPM_CONF_SENT, .tsdr = -1};
+        st->statistics.sdn++;
+        bus_busy(st, st->tx_end_latest, st->tid2);
+        finish(st, st->tx_end_latest, &confirm);
+        return;
+    }
+    st->statistics.requests += st->tries == 1;
+    st->statistics.repetitions += st->tries > 1;
+    st->heard = -1;
+    st->deadline = st->tx_end_latest + st->tsl + st->config.traits.allowance;
+    st->state = DPM_FDL_AWAIT_DATA_RESPONSE;
+}
+
+static void station_sent(dpm_machine *machine, int64_t start, int64_t end_earliest, int64_t end_latest, int result)
+{
+    dpm_station *st = (dpm_station *)machine;
+    const uint8_t kind = st->tx_kind;
+    st->tx_kind = DPM_TX_NONE;
+    st->tx_start = start;
+    st->tx_end_earliest = end_earliest;
+    st->tx_end_latest = end_latest;
+    dpm_receiver_flush(&st->receiver);
+    bus_busy(st, end_latest, st->tid1);
+    st->statistics.send_failed += result != DPM_SENT_WHOLE;
+    if (kind == DPM_TX_REQUEST)
+        request_sent(st); /* one that did not leave whole is repeated when its slot runs out */
+    else if (kind == DPM_TX_TOKEN && result == DPM_SENT_WHOLE)
+        token_sent(st, end_latest);
+}
+
+/* --- what to send ------------------------------------------------------------------------------------------------ */
+
+static bool request_is_valid(const dpm_station *st, const dpm_request *r)
+{
+    if (r->da == st->config.address || r->da > DPM_BROADCAST || (r->da == DPM_BROADCAST && !is_sdn(r->function)))
+        return false;
+    return counts_frames(r->function) || is_sdn(r->function) || r->function == DPM_FDL_STATUS ||
+           r->function == DPM_IDENT || r->function == DPM_LSAP_STATUS;
+}
+
+/* FC of a request (EN 50170 part 4): first contact FCB 1, FCV 0; then FCV 1 and a toggling FCB; others neither. */
+static uint8_t request_fc(const dpm_station *st, const dpm_request *r)
+{
+    const uint8_t fc = (uint8_t)(DPM_FC_REQUEST | r->function);
+    if (!counts_frames(r->function))
+        return fc;
+    switch (st->fcb[r->da]) {
+    case DPM_FCB_NEXT_0:
+        return fc | DPM_FC_FCV;
+    case DPM_FCB_NEXT_1:
+        return fc | DPM_FC_FCV | DPM_FC_FCB;
+    default:
+        return fc | DPM_FC_FCB;
+    }
+}
+
+static void take_request(dpm_station *st, dpm_fdl_user *user, const dpm_request *r)
+{
+    const dpm_telegram t = {
+        .da = r->da, .sa = st->config.address, .fc = request_fc(st, r),
+        .dsap = r->dsap, .ssap = r->ssap, .dsegment = -1, .ssegment = -1,
+        .length = r->length, .data = r->data,
+    };
+    const int n = request_is_valid(st, r) ? dpm_encode(&t, st->tx, sizeof st->tx) : DPM_E_ARGUMENT;
+    const bool repeatable = counts_frames(r->function) && st->fcb[r->da] != DPM_FCB_UNKNOWN;
+    st->user = user;
+    st->da = r->da & 0x7F;
+    st->function = r->function;
+    st->dsap = r->dsap;
+    st->ssap = r->ssap;
+    st->tries = 0;
+    st->retries = repeatable ? r->retries : 0;
+    if (n < 0) {
+        dpm_confirm confirm = {.status = DPM_CONF_INVALID, .tsdr = -1};
+        finish(st, st->last_activity, &confirm);
+        return;
+    }
+    st->tx_n = (uint16_t)n;
+    st->tx_kind = DPM_TX_REQUEST;
+    st->tx_not_before = st->not_before;
+}
+
+static void make_token(dpm_station *st)
+{
+    st->tx[0] = DPM_SD4;
+    st->tx[1] = st->config.address;
+    st->tx[2] = st->config.address;
+    st->tx_n = 3;
+    st->tx_kind = DPM_TX_TOKEN;
+    st->tx_not_before = st->not_before;
+}
+
+/* The token is held: work of the users by priority, else pass it on. With nothing to do the token still goes round
+ * before the bus has been silent for half of the shortest Tto, so that no other master takes it for lost. Returns when to look again. */
+static int64_t use_token(dpm_station *st, int64_t now)
+{
+    int64_t wake = DPM_NEVER;
+    if (now < st->not_before)
+        return st->not_before;
+    for (unsigned i = 0; i < st->n_users; i++) {
+        dpm_request request = {.dsap = DPM_NO_SAP, .ssap = DPM_NO_SAP};
+        if (st->users[i].next(st->users[i].context, now, &request, &wake)) {
+            take_request(st, &st->users[i], &request);
+            return now;
+        }
+        if (st->state != DPM_FDL_USE_TOKEN)
+            return now; /* the user went offline */
+    }
+    const int64_t idle_end = st->last_activity + st->idle;
+    if (!st->worked && wake > now && now < idle_end)
+        return min_of(wake, idle_end);
+    st->state = DPM_FDL_PASS_TOKEN;
+    return now;
+}
+
+/* When silence will let the machine conclude something. */
+static int64_t silence_at(const dpm_station *st)
+{
+    const int64_t unfinished = dpm_receiver_deadline(&st->receiver);
+    if (st->state == DPM_FDL_LISTEN_TOKEN)
+        return min_of(unfinished, right_ends(st));
+    if (st->state != DPM_FDL_AWAIT_DATA_RESPONSE)
+        return unfinished;
+    if (st->heard < 0)
+        return min_of(unfinished, st->deadline);
+    return min_of(unfinished, max_of(st->deadline, st->heard + st->tsyn + st->config.traits.granularity));
+}
+
+/* Our own silence was so long that another master may have claimed the token: nothing is sent on an old right.
+ * An answer still awaited is judged by its slot, not here. */
+static void drop_stale_token(dpm_station *st, int64_t now)
+{
+    const bool waiting = st->state == DPM_FDL_AWAIT_DATA_RESPONSE && st->tx_kind == DPM_TX_NONE;
+    if (!in_ring(st->state) || waiting || now <= right_ends(st))
+        return;
+    st->statistics.tokens_lost++;
+    st->statistics.late_dropped += st->tx_kind != DPM_TX_NONE;
+    put_event(st, now, DPM_EV_LATE, 0, 0, now - right_ends(st));
+    give_way(st, now, false);
+    st->last_activity = now; /* what others did meanwhile is unknown: listen for a whole Tto */
+}
+
+static void drop_late_reply(dpm_station *st, int64_t now)
+{
+    if (st->tx_kind != DPM_TX_REPLY || now <= st->tx_not_after)
+        return;
+    st->statistics.late_dropped++;
+    put_event(st, now, DPM_EV_LATE, 0, 0, now - st->tx_not_after);
+    st->tx_kind = DPM_TX_NONE;
+}
+
+static void station_ask(dpm_machine *machine, int64_t now, dpm_offer *offer)
+{
+    dpm_station *st = (dpm_station *)machine;
+    *offer = (dpm_offer){.octets = st->tx, .not_before = now, .not_after = DPM_NEVER, .wake = DPM_NEVER};
+    if (st->state == DPM_FDL_OFFLINE)
+        return;
+    if (st->last_activity < 0)
+        st->last_activity = now;
+    drop_stale_token(st, now);
+    drop_late_reply(st, now);
+    if (st->tx_kind == DPM_TX_NONE && st->state == DPM_FDL_USE_TOKEN)
+        offer->wake = use_token(st, now);
+    if (st->tx_kind == DPM_TX_NONE && (st->state == DPM_FDL_CLAIM_TOKEN || st->state == DPM_FDL_PASS_TOKEN))
+        make_token(st);
+    if (st->tx_kind == DPM_TX_NONE) {
+        offer->wake = min_of(offer->wake, silence_at(st));
+        return;
+    }
+    if (st->tx_kind != DPM_TX_REPLY) {
+        st->tx_not_before = max_of(st->tx_not_before, st->not_before);
+        st->tx_not_after = right_ends(st);
+    }
+    offer->n = st->tx_n;
+    offer->not_before = st->tx_not_before;
+    offer->not_after = st->tx_not_after;
+    offer->wake = st->tx_not_before;
+}
+
+/* --- set-up ------------------------------------------------------------------------------------------------------ */
+
+size_t dpm_station_size(void) { return sizeof(dpm_station); }
+
+static void derive_times(dpm_station *st, const dpm_parameters *p, uint8_t address)
+{
+    st->tsl = dpm_bits_up(p, p->tsl);
+    st->tid1 = dpm_bits_up(p, dpm_tid1(p));
+    st->tid2 = dpm_bits_up(p, dpm_tid2(p));
+    st->tto = dpm_bits_up(p, dpm_tto(p, address));
+    st->tsyn = dpm_bits_up(p, DPM_TSYN);
+    st->tsyni = dpm_bits_up(p, 2 * (2 * (DPM_TSYN + DPM_TELEGRAM_MAX * DPM_CHARACTER_BITS)) + DPM_TSYN);
+    st->min_tsdr = dpm_bits_up(p, p->min_tsdr);
+    st->max_tsdr = dpm_bits_down(p, p->max_tsdr);
+    st->idle = 3 * st->tsl; /* Tto of address 0, the shortest, is 6 Tsl */
+}
+
+int dpm_station_init(void *block, size_t size, const dpm_station_config *config, dpm_station **station)
+{
+    const dpm_parameters *p = &config->parameters;
+    dpm_refusal refusal;
+    if (!block || size < sizeof(dpm_station) || (uintptr_t)block % 16)
+        return DPM_E_BLOCK;
+    if (config->address > DPM_ADDRESS_MAX)
+        return DPM_E_ADDRESS;
+    if (dpm_parameters_check(p, config->address, &refusal) < 0)
+        return DPM_E_PARAMETER;
+    dpm_station *st = block;
+    memset(st, 0, sizeof *st);
+    st->machine.octets = station_octets;
+    st->machine.quiet = station_quiet;
+    st->machine.sent = station_sent;
+    st->machine.ask = station_ask;
+    st->config = *config;
+    derive_times(st, p, config->address);
+    st->last_activity = -1;
+    st->foreign = -1;
+    st->heard = -1;
+    dpm_receiver_init(&st->receiver, dpm_bits_up(p, DPM_CHARACTER_BITS), st->tsyn + config->traits.granularity, 0);
+    *station = st;
+    return DPM_OK;
+}
+
+dpm_machine *dpm_station_machine(dpm_station *station) { return &station->machine; }
+
+int dpm_station_add_user(dpm_station *station, const dpm_fdl_user *user)
+{
+    if (station->n_users == DPM_STATION_USERS)
+        return DPM_E_FULL;
+    station->users[station->n_users++] = *user;
+    return DPM_OK;
+}
+
+static int swap_ring(dpm_station *station, dpm_ring *from, dpm_ring *to, int error)
+{
+    for (unsigned i = 0; i < DPM_STATION_RINGS; i++)
+        if (station->rings[i] == from) {
+            station->rings[i] = to;
+            return DPM_OK;
+        }
+    return error;
+}
+
+int dpm_station_add_ring(dpm_station *station, dpm_ring *ring) { return swap_ring(station, NULL, ring, DPM_E_FULL); }
+
+int dpm_station_remove_ring(dpm_station *station, dpm_ring *ring)
+{
+    return swap_ring(station, ring, NULL, DPM_E_ARGUMENT);
+}
+
+void dpm_station_online(dpm_station *station, bool online)
+{
+    const int64_t now = max_of(station->last_activity, 0);
+    if (online == (station->state != DPM_FDL_OFFLINE))
+        return;
+    if (station->user)
+        finish_unanswered(station, now, DPM_CONF_DS);
+    station->tx_kind = DPM_TX_NONE;
+    dpm_receiver_flush(&station->receiver);
+    station->last_activity = -1; /* Tto counts from the first look at the bus */
+    station->not_before = 0;
+    enter(station, online ? DPM_FDL_LISTEN_TOKEN : DPM_FDL_OFFLINE, now);
+}
+
+int dpm_station_state(const dpm_station *station) { return station->state; }
+
+const dpm_fdl_statistics *dpm_station_statistics(const dpm_station *station) { return &station->statistics; }
+
+void dpm_station_restart(dpm_station *station, uint8_t address) { station->fcb[address & 0x7F] = DPM_FCB_UNKNOWN; }
