@@ -1,0 +1,281 @@
+# SPDX-License-Identifier: MIT
+"""One port with its bus thread: opened, started on a master, waited on, fed, closed.
+
+The only owner of the library's ``dpm_bus`` and ``dpm_master`` and of their memory. It knows no station by name: `Master`
+decides what happens on the bus, this file sees that it happens in the process that opened the port, on objects that are
+still there.
+"""
+
+from __future__ import annotations
+
+import threading
+import weakref
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from dpmaster import _core
+from dpmaster._core import NS, ffi, lib
+from dpmaster.errors import ClosedError, ConfigurationError, PortError
+
+if TYPE_CHECKING:
+    from dpmaster.events import Events
+
+__all__ = ["Bus", "FdlState", "Feed", "Mode", "PortStatistics"]
+
+T = TypeVar("T")
+
+
+class Mode(IntEnum):
+    """The master's mode, with the codes of EN 50170 part 8 (``enum dpm_mode``)."""
+
+    OFFLINE = 0x00  # nothing is sent
+    STOP = 0x40  # token only; requests of the program work
+    CLEAR = 0x80  # stations exchange, their outputs are zeros (or empty for a fail-safe one)
+    OPERATE = 0xC0
+
+
+class FdlState(IntEnum):
+    """The FDL station's state (``enum dpm_fdl_state``)."""
+
+    OFFLINE = 0
+    LISTEN_TOKEN = 1
+    CLAIM_TOKEN = 2
+    USE_TOKEN = 3
+    AWAIT_DATA_RESPONSE = 4
+    PASS_TOKEN = 5
+
+
+class Feed(IntEnum):
+    """What fed the output watchdog (``enum dpm_feed``)."""
+
+    OPERATE = 0
+    COMMIT = 1
+    WAIT = 2
+    PROGRAM = 3
+
+    @property
+    def text(self) -> str:
+        return ("operate()", "a commit of outputs", "a wait in the thread of the last commit", "master.feed()")[self]
+
+
+@dataclass(frozen=True, slots=True)
+class PortStatistics:
+    """The port and its thread; ``allowance`` and ``cpu_time`` in s."""
+
+    profile: str
+    allowance: float
+    parity: bool
+    octets_in: int
+    octets_out: int
+    echo_octets: int
+    echo_errors: int
+    line_errors: int
+    cpu_time: float
+    wakeups: int
+
+
+_PROFILES = {None: "AUTO", "uart": "UART", "usb": "USB", "pty": "PTY"}
+_REMEDIES = {
+    "NO_PORT": "check the path; /dev/serial/by-id lists the adapters that are plugged in",
+    "PERMISSION": "add the user to the group of the device (usually 'dialout') and log in again",
+    "IN_USE": "end the other program; 'fuser -v PATH' names it",
+    "NOT_TTY": "give the path of a serial port or of a segment's port",
+    "SETTINGS": "another rate, or a UART and driver that keep 8 data bits with even parity at this one",
+    "GONE": "plug it in again and open a new Master",
+    "SYSTEM": "see the system's reason",
+}
+
+
+def _port_error(path: str, code: int) -> PortError:
+    """Path, reason, remedy."""
+    base = _core.error(code)
+    remedy = next((text for name, text in _REMEDIES.items() if getattr(lib, f"DPM_E_{name}") == code), "")
+    return PortError(f"port {path}: {base}" + (f"; {remedy}" if remedy else ""), path=path, dpm_code=code,
+                     errno=base.errno if isinstance(base, PortError) else None)
+
+
+def _shut(process: _core.Process, handle: Any, events: list[Events]) -> None:
+    """The end of a bus, by close() or by the collector. "After fork ... no finaliser touches the bus"."""
+    if process.here:
+        lib.dpm_bus_close(handle)
+        for each in events:
+            each.end()
+
+
+class Bus:
+    """A port, opened at once; the thread begins with `start`. All methods are safe from any thread."""
+
+    def __init__(self, port: str, rate: tuple[int, int], *, echo: bool | None, profile: str | None,
+                 allowance: float | None) -> None:
+        if profile not in _PROFILES:
+            raise ConfigurationError(f"profile {profile!r}: 'uart', 'usb', 'pty', or None to go by the path")
+        if allowance is not None and not 0 <= allowance <= 1:
+            raise ConfigurationError(f"allowance {allowance} s: 0 to 1, or None for the profile's own")
+        self.path = str(port)
+        self.process = _core.Process()
+        self.closed = False
+        self.master: Any = None
+        self.fed_thread = 0  # the thread of the last commit: only its waits feed the output watchdog
+        self._events: list[Events] = []
+        self._starting = threading.Lock()
+        self._handle = self._open(port, rate, echo, profile, allowance)
+        self._finish = weakref.finalize(self, _shut, self.process, self._handle, self._events)
+        self._finish.atexit = False  # a Master that still lives says its stop words first
+
+    def _open(self, port: str, rate: tuple[int, int], echo: bool | None, profile: str | None, allowance: float | None) -> Any:
+        path = ffi.new("char[]", self.path.encode())
+        config = ffi.new("dpm_port_config *")
+        config.path = path
+        config.rate_num, config.rate_den = rate
+        config.profile = getattr(lib, f"DPM_PROFILE_{_PROFILES[profile]}")
+        config.echo = {None: lib.DPM_ECHO_AUTO, False: lib.DPM_ECHO_OFF, True: lib.DPM_ECHO_ON}[echo]
+        # A segment's port knows whether its hub paces; of any other pty nobody can tell.
+        paced: bool | None = getattr(port, "paced", None)
+        config.pace = {None: lib.DPM_PACE_AUTO, False: lib.DPM_PACE_NONE, True: lib.DPM_PACE_BAUD}[paced]
+        config.allowance = -1 if allowance is None else round(allowance * NS)
+        self._memory = _core.block(lib.dpm_bus_size())
+        handle = ffi.new("dpm_bus **")
+        code = lib.dpm_bus_open(self._memory, len(self._memory), config, handle)
+        if code < 0:
+            raise _port_error(self.path, code)
+        return handle[0]
+
+    def guard(self) -> None:
+        """Raise ClosedError in a forked child, or after close."""
+        self.process.guard(f"the master on {self.path}")
+        if self.closed:
+            raise ClosedError(f"the master on {self.path} was closed: open a new one", dpm_code=lib.DPM_E_CLOSED)
+
+    def start(self, config: Any, slaves: int) -> None:
+        """Build the master in a block of its own and start the thread on it. Once."""
+        self._master_memory = _core.block(lib.dpm_master_size(slaves))
+        handle = ffi.new("dpm_master **")
+        lib.dpm_bus_get_traits(self._handle, ffi.addressof(config.station, "traits"))
+        _core.check(lib.dpm_master_init(self._master_memory, len(self._master_memory), config, handle), "set up the master")
+        self._call(lib.dpm_bus_start(self._handle, lib.dpm_master_machine(handle[0]), handle[0]), "start the bus thread")
+        with self._starting:
+            self.master = handle[0]
+            for each in self._events:
+                self._subscribe(each)
+
+    @property
+    def allowance(self) -> float:
+        """What the host may wake late, s."""
+        traits = ffi.new("dpm_port_traits *")
+        lib.dpm_bus_get_traits(self._handle, traits)
+        return float(traits.allowance / NS)
+
+    def _call(self, code: int, what: str, **context: object) -> int:
+        """check(), with the words for a port that vanished and for a close that came in between."""
+        if code == lib.DPM_E_GONE:
+            raise _port_error(self.path, code)
+        return _core.check(code, what, **context)
+
+    def add(self, settings: Any, outputs: Any, image: Any) -> int:
+        self.guard()
+        return self._call(lib.dpm_bus_add(self._handle, settings, outputs, image), "add the station", address=settings.address)
+
+    def change(self, index: int, settings: Any) -> None:
+        self.guard()
+        self._call(lib.dpm_bus_change(self._handle, index, settings), "change the station", address=settings.address)
+
+    def set_mode(self, mode: Mode) -> None:
+        self.guard()
+        self._call(lib.dpm_bus_set_mode(self._handle, mode), f"go to {mode.name.title()}")
+
+    def status(self) -> Any:
+        """A ``dpm_master_status``."""
+        self.guard()
+        status = ffi.new("dpm_master_status *")
+        self._call(lib.dpm_bus_get_status(self._handle, status), "read the master's status")
+        return status
+
+    def slave(self, index: int) -> Any:
+        """A ``dpm_slave_status``."""
+        self.guard()
+        status = ffi.new("dpm_slave_status *")
+        self._call(lib.dpm_bus_get_slave(self._handle, index, status), "read a station's status")
+        return status
+
+    def info(self) -> Any:
+        self.guard()
+        info = ffi.new("dpm_bus_info *")
+        self._call(lib.dpm_bus_get_info(self._handle, info), "read the port's status")
+        return info
+
+    def check_port(self) -> None:
+        """Raise PortError when the port is not working."""
+        code = self.info().port_error
+        if code:
+            raise _port_error(self.path, code)
+
+    def statistics(self) -> PortStatistics:
+        info = self.info()
+        port = info.port
+        names = {getattr(lib, f"DPM_PROFILE_{theirs}"): ours or "auto" for ours, theirs in _PROFILES.items()}
+        return PortStatistics(
+            names[port.profile], port.traits.allowance / NS, port.parity, port.octets_in, port.octets_out, port.echo_octets,
+            port.echo_errors, port.line_errors, info.cpu_time / NS, info.wakeups)
+
+    def request(self, raw: Any, timeout: float | None) -> bool:
+        """Carry out one ``dpm_raw``: True when it is done, False when `timeout` passed and it was taken back."""
+        self.guard()
+        self._call(lib.dpm_bus_request(self._handle, raw), "request", address=raw.da)
+        try:
+            return self.wait(lambda: raw.done or None, timeout) is not None
+        finally:
+            if not raw.done:  # its memory is ours again only after this
+                lib.dpm_bus_cancel(self._handle, raw)
+
+    def wait(self, ready: Callable[[], T | None], timeout: float | None) -> T | None:
+        """Wait until `ready` returns something: that, or None after `timeout` s. In the thread of the last commit it feeds."""
+        self.guard()
+        return _core.wait_slices(self._wait, self._progress, ready, timeout, self._feed_from_wait)
+
+    def _progress(self) -> int:
+        self.guard()
+        return int(lib.dpm_bus_progress(self._handle))
+
+    def _wait(self, seen: int, timeout: int) -> int:
+        return int(lib.dpm_bus_wait(self._handle, seen, timeout))
+
+    def feed(self, by: Feed) -> None:
+        """Tell the output watchdog that the program lives. A commit, and operate(), name the thread whose waits do so too."""
+        if self.master is not None:
+            if by in (Feed.COMMIT, Feed.OPERATE):
+                self.fed_thread = threading.get_ident()
+            lib.dpm_master_feed(self.master, _core.now(), by)
+
+    def _feed_from_wait(self) -> None:
+        if threading.get_ident() == self.fed_thread:
+            self.feed(Feed.WAIT)
+
+    def subscribe(self, events: Events) -> None:
+        """Events begin to arrive at once, or when the thread starts."""
+        self.guard()
+        with self._starting:
+            if self.master is not None:
+                self._subscribe(events)
+            self._events.append(events)
+
+    def _subscribe(self, events: Events) -> None:
+        code = lib.dpm_bus_subscribe(self._handle, events.ring, events.fileno())
+        if code == lib.DPM_E_FULL:
+            raise ConfigurationError("a master has room for 8 subscribers of events: close() those you no longer read",
+                                     dpm_code=code)
+        self._call(code, "subscribe to events")
+
+    def unsubscribe(self, events: Events) -> None:
+        with self._starting:
+            if events in self._events and self.process.here and not self.closed:
+                self._events.remove(events)
+                if self.master is not None:
+                    lib.dpm_bus_unsubscribe(self._handle, events.ring)
+
+    def close(self) -> None:
+        """End the thread, close the port, wake every waiter with ClosedError. Idempotent, within a second."""
+        self.process.guard(f"the master on {self.path}")
+        self.closed = True
+        self._finish()

@@ -1,0 +1,310 @@
+# SPDX-License-Identifier: MIT
+"""Slave_Diag read for people: flags, ident number, extended blocks, and in words why a station is not exchanging.
+
+Pure: octets in, objects and texts out; touches nothing else. Layout: EN 50170 part 8 (Slave_Diag), six standard octets,
+then blocks whose header says in bits 7..6 what they are and, for two of them, in bits 5..0 how long. A length that lies
+ends the blocks, and what is left is kept as it came.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
+
+from dpmaster.errors import ConfigurationError
+
+__all__ = [
+    "Block", "ChannelBlock", "DeviceBlock", "Diag", "Diagnosis", "IdentifierBlock", "Reason", "RevisionBlock",
+    "StationState", "why",
+]
+
+
+class StationState(IntEnum):
+    """The slave handler's states, as EN 50170 part 8 draws them (``enum dpm_station_state``)."""
+
+    OFFLINE = 0  # not heard of; tried at a low rate
+    DIAG1 = 1  # answers; is it free?
+    PRM = 2  # Set_Prm is next
+    CFG = 3  # Chk_Cfg is next
+    DIAG2 = 4  # did it accept both, is it ready?
+    DATA = 5  # Data_Exchange
+    INACTIVE = 6  # listed, never asked
+    LEAVING = 7  # Set_Prm with Unlock is next
+
+
+class Reason(IntEnum):
+    """Why a station is not in Data_Exchange, or left it (``enum dpm_reason``)."""
+
+    NONE = 0
+    NO_ANSWER = 1
+    SERVICE = 2
+    INVALID_ANSWER = 3
+    IDENT = 4
+    PRM_FAULT = 5
+    CFG_FAULT = 6
+    NOT_SUPPORTED = 7
+    LOCKED = 8
+    NOT_READY = 9
+    STATIC_DIAG = 10
+    PRM_REQ = 11
+    BUS = 12
+
+    @property
+    def refusal(self) -> bool:
+        """True when the station said no: waiting longer alone does not help."""
+        return self in _REFUSALS
+
+
+_REFUSALS = frozenset({Reason.IDENT, Reason.PRM_FAULT, Reason.CFG_FAULT, Reason.NOT_SUPPORTED, Reason.LOCKED})
+
+
+class Diag(IntFlag):
+    """The flags of octets 1 to 3: bit n of octet m is bit 8 * (m - 1) + n. Those marked M are the master's own."""
+
+    STATION_NON_EXISTENT = 1 << 0  # M
+    STATION_NOT_READY = 1 << 1
+    CFG_FAULT = 1 << 2
+    EXT_DIAG = 1 << 3
+    NOT_SUPPORTED = 1 << 4
+    INVALID_SLAVE_RESPONSE = 1 << 5  # M
+    PRM_FAULT = 1 << 6
+    MASTER_LOCK = 1 << 7  # M
+    PRM_REQ = 1 << 8
+    STAT_DIAG = 1 << 9
+    ALWAYS_1 = 1 << 10
+    WD_ON = 1 << 11
+    FREEZE_MODE = 1 << 12
+    SYNC_MODE = 1 << 13
+    DEACTIVATED = 1 << 15  # M
+    EXT_DIAG_OVERFLOW = 1 << 23
+
+
+_TEXTS: dict[Diag, str] = {
+    Diag.STATION_NON_EXISTENT: "does not answer",
+    Diag.STATION_NOT_READY: "is not ready for Data_Exchange yet",
+    Diag.CFG_FAULT: "refuses the configuration",
+    Diag.EXT_DIAG: "reports a fault in its extended diagnosis",
+    Diag.NOT_SUPPORTED: "does not support a feature that Set_Prm asks for",
+    Diag.INVALID_SLAVE_RESPONSE: "gave an answer that fits no request",
+    Diag.PRM_FAULT: "refuses the parameters",
+    Diag.MASTER_LOCK: "is locked by another master",
+    Diag.PRM_REQ: "must be parameterised and configured anew",
+    Diag.STAT_DIAG: "asks for Slave_Diag to be read instead of data exchanged",
+    Diag.WD_ON: "has its watchdog on",
+    Diag.FREEZE_MODE: "has its inputs frozen",
+    Diag.SYNC_MODE: "has its outputs synchronised",
+    Diag.DEACTIVATED: "is deactivated",
+    Diag.EXT_DIAG_OVERFLOW: "has more diagnosis than fits",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """A block of the extended diagnosis, header included."""
+
+    octets: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceBlock(Block):
+    """Header 00: the maker's own data, or with DP-V1 an alarm or a status."""
+
+    @property
+    def data(self) -> bytes:
+        return self.octets[1:]
+
+
+@dataclass(frozen=True, slots=True)
+class IdentifierBlock(Block):
+    """Header 01: one bit for each identifier (slot) of the configuration, set where it has diagnosis."""
+
+    @property
+    def identifiers(self) -> tuple[int, ...]:
+        """Slots with diagnosis; the configuration's first identifier is 0."""
+        return tuple(8 * i + bit for i, octet in enumerate(self.octets[1:]) for bit in range(8) if octet >> bit & 1)
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelBlock(Block):
+    """Header 10: one channel of one module, always three octets."""
+
+    @property
+    def identifier(self) -> int:
+        return self.octets[0] & 0x3F
+
+    @property
+    def channel(self) -> int:
+        return self.octets[1] & 0x3F
+
+    @property
+    def direction(self) -> str:
+        return ("reserved", "input", "output", "input and output")[self.octets[1] >> 6]
+
+    @property
+    def channel_type(self) -> int:
+        """0 unspecific, 1 bit, 2 two bits, 3 four bits, 4 byte, 5 word, 6 two words, 7 reserved."""
+        return self.octets[2] >> 5
+
+    @property
+    def error(self) -> int:
+        """1..9 as the standard names them, 16..31 the maker's."""
+        return self.octets[2] & 0x1F
+
+    @property
+    def error_text(self) -> str:
+        if self.error < len(_CHANNEL_ERRORS):
+            return _CHANNEL_ERRORS[self.error]
+        return f"maker's error {self.error}" if self.error >= 16 else f"reserved error {self.error}"
+
+
+_CHANNEL_ERRORS = (
+    "reserved error 0", "short circuit", "undervoltage", "overvoltage", "overload", "overtemperature", "line break",
+    "upper limit exceeded", "lower limit exceeded", "error",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class RevisionBlock(Block):
+    """Header 11: one octet, the revision of the diagnosis data."""
+
+    @property
+    def revision(self) -> int:
+        return self.octets[0] & 0x3F
+
+
+_BLOCKS = (DeviceBlock, IdentifierBlock, ChannelBlock, RevisionBlock)
+
+
+def _blocks(octets: bytes) -> tuple[tuple[Block, ...], bytes]:
+    """The blocks, and what is left where one announces a length of 0 or 1 or runs past the end."""
+    found: list[Block] = []
+    while octets:
+        kind = octets[0] >> 6
+        length = (octets[0] & 0x3F, octets[0] & 0x3F, 3, 1)[kind]
+        if not (length >= 2 or kind == 3) or length > len(octets):
+            break
+        found.append(_BLOCKS[kind](octets[:length]))
+        octets = octets[length:]
+    return tuple(found), octets
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """One answer to Slave_Diag, 6 to 244 octets, the master's own bits added.
+
+    ``number`` counts the answers fetched from this station; ``time`` is when, in s of `time.monotonic`.
+    Raises ConfigurationError for fewer than six octets.
+    """
+
+    octets: bytes
+    number: int = 0
+    time: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 6 <= len(self.octets) <= 244:
+            raise ConfigurationError(f"a diagnosis has 6 to 244 octets, not {len(self.octets)}")
+
+    @property
+    def flags(self) -> Diag:
+        return Diag(int.from_bytes(self.octets[:3], "little"))
+
+    @property
+    def master(self) -> int | None:
+        """Address of the master that parameterised the station; None: it is free (FFh)."""
+        return None if self.octets[3] == 0xFF else self.octets[3]
+
+    @property
+    def ident_number(self) -> int:
+        return int.from_bytes(self.octets[4:6], "big")
+
+    @property
+    def extended(self) -> bytes:
+        """Everything behind the six standard octets, as it came."""
+        return self.octets[6:]
+
+    @property
+    def blocks(self) -> tuple[Block, ...]:
+        return _blocks(self.extended)[0]
+
+    @property
+    def rest(self) -> bytes:
+        """What follows the last whole block: empty, unless a block lies about its length."""
+        return _blocks(self.extended)[1]
+
+    @property
+    def ready(self) -> bool:
+        """Nothing stands between the station and Data_Exchange."""
+        return not self.flags & _OBSTACLES
+
+    @property
+    def texts(self) -> tuple[str, ...]:
+        """One clause per flag that is set, without subject: "refuses the configuration"."""
+        return tuple(text for flag, text in _TEXTS.items() if self.flags & flag)
+
+    def __str__(self) -> str:
+        owner = "free" if self.master is None else f"master {self.master}"
+        return f"ident {self.ident_number:04X}h, {owner}: {'; '.join(self.texts) or 'nothing to report'}"
+
+
+_OBSTACLES = (
+    Diag.STATION_NON_EXISTENT | Diag.STATION_NOT_READY | Diag.CFG_FAULT | Diag.NOT_SUPPORTED | Diag.INVALID_SLAVE_RESPONSE
+    | Diag.PRM_FAULT | Diag.MASTER_LOCK | Diag.PRM_REQ | Diag.STAT_DIAG | Diag.DEACTIVATED
+)
+
+_STEPS: dict[int, str] = {
+    StationState.DIAG1: "Slave_Diag", StationState.PRM: "Set_Prm", StationState.CFG: "Chk_Cfg",
+    StationState.DIAG2: "Slave_Diag after Chk_Cfg", StationState.DATA: "Data_Exchange",
+    StationState.LEAVING: "Set_Prm with Unlock",
+}
+_RESULTS = {1: "UE, user error", 2: "RR, no resources", 3: "RS, service not activated"}
+
+
+def _lost_in(state: int) -> str:
+    step = _STEPS.get(state)
+    return f"no longer answers (lost in {step})" if step else "does not answer: is it powered, its address and the line right?"
+
+
+def _ident(expected: int, found: int | None) -> str:
+    named = "another ident number" if found is None else f"ident number {found:04X}h"
+    return f"has {named} where {expected:04X}h is expected: another device, or parameters made for another one"
+
+
+def _prm_fault(ident_number: int, diagnosis: Diagnosis | None) -> str:
+    if diagnosis is not None and diagnosis.ident_number != ident_number:
+        return f"refuses its parameters (Prm_Fault): it {_ident(ident_number, diagnosis.ident_number)}"
+    return "refuses its parameters (Prm_Fault): the user parameters are not its own, or of the wrong length"
+
+
+def why(reason: int, detail: int, *, ident_number: int, configuration: bytes = b"", diagnosis: Diagnosis | None = None) -> str:
+    """Why a station is not exchanging, a clause without subject; "" when nothing is known against it.
+
+    `reason` and `detail` are the master's (``enum dpm_reason``); the rest is what the station was meant to be.
+    """
+    match reason:
+        case Reason.NONE:
+            return ""
+        case Reason.NO_ANSWER:
+            return _lost_in(detail)
+        case Reason.SERVICE:
+            return f"refuses a request: {_RESULTS.get(detail & 0x0F, f'FC {detail:02X}h')}"
+        case Reason.INVALID_ANSWER:
+            return f"gave an answer that fits no request ({detail} octets): its configuration is not the one given"
+        case Reason.IDENT:
+            return _ident(ident_number, detail)
+        case Reason.PRM_FAULT:
+            return _prm_fault(ident_number, diagnosis)
+        case Reason.CFG_FAULT:
+            return f"refuses the configuration {configuration.hex(' ').upper()} (Cfg_Fault): its modules are others"
+        case Reason.NOT_SUPPORTED:
+            return "does not support what Set_Prm asks for (Not_Supported): switch off sync or freeze"
+        case Reason.LOCKED:
+            return f"is locked by master {detail} (Master_Lock): that master must release it first"
+        case Reason.NOT_READY:
+            return "took its parameters and configuration and is not ready yet (Station_Not_Ready)"
+        case Reason.STATIC_DIAG:
+            return "asks for its diagnosis to be read instead of data exchanged (Stat_Diag)"
+        case Reason.PRM_REQ:
+            return "wants to be parameterised anew (Prm_Req): it was reset, or its watchdog ran out"
+        case Reason.BUS:
+            return "was left alone: the master left the bus (foreign token, or the port vanished)"
+    return f"is in trouble for a reason this version does not know ({reason}, detail {detail})"

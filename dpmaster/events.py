@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: MIT
+"""Events: hints that something changed, each subscriber with a ring and a descriptor of its own.
+
+"State is level, events are hints: every fact can be read from its object; overflow drops the oldest and says how many." The
+descriptor is an eventfd that any select, poll or asyncio loop can watch; it stays readable while events are left.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import TYPE_CHECKING
+
+from dpmaster import _core
+from dpmaster._core import NS, ffi, lib
+from dpmaster.bus import FdlState, Feed, Mode
+from dpmaster.diagnosis import Reason, StationState
+from dpmaster.errors import ClosedError, ConfigurationError
+
+if TYPE_CHECKING:
+    from dpmaster.bus import Bus
+
+__all__ = ["Event", "EventKind", "Events"]
+
+
+class EventKind(IntEnum):
+    """What happened (``enum dpm_event_kind``, which says what a, b and value hold)."""
+
+    STATE = 1
+    FAULT = 2
+    DIAGNOSIS = 3
+    MODE = 4
+    FDL = 5
+    FOREIGN = 6
+    WATCHDOG = 7
+    LATE = 8
+    PORT = 9
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """One event; ``time`` in s of `time.monotonic`, ``number`` counts all events of the ring, dropped ones included."""
+
+    kind: EventKind
+    address: int | None
+    time: float
+    number: int
+    a: int = 0
+    b: int = 0
+    value: int = 0
+
+    def __str__(self) -> str:
+        who = "" if self.address is None else f"station {self.address}: "
+        return who + self._text()
+
+    def _text(self) -> str:
+        match self.kind:
+            case EventKind.STATE:
+                return f"{StationState(self.b).name} -> {StationState(self.a).name}"
+            case EventKind.FAULT:
+                return f"{Reason(self.a).name} ({self.b})"
+            case EventKind.DIAGNOSIS:
+                return "new diagnosis"
+            case EventKind.MODE:
+                return f"mode {Mode(self.b).name} -> {Mode(self.a).name}"
+            case EventKind.FDL:
+                return f"FDL {FdlState(self.b).name} -> {FdlState(self.a).name}"
+            case EventKind.FOREIGN:
+                return f"foreign master {self.a} heard"
+            case EventKind.WATCHDOG:
+                return f"the output watchdog ran out; {Feed(self.a).text} fed it last"
+            case EventKind.LATE:
+                return f"a telegram was dropped: the host was {self.value / 1e6:.3f} ms late"
+            case EventKind.PORT:
+                return "port works" if not self.a else f"port: {_core.error(self.a)}"
+
+
+class Events:
+    """A subscription. Any thread may take; each event is given once. Made by `Master.events`."""
+
+    def __init__(self, bus: Bus, size: int) -> None:
+        if not 2 <= size <= 65536 or size & (size - 1):
+            raise ConfigurationError(f"room for {size} events: a power of two from 2 to 65536")
+        self._bus = bus
+        self._memory = _core.block(lib.dpm_ring_size(size))
+        self.ring = lib.dpm_ring_init(self._memory, len(self._memory), size)
+        self._lock = threading.Lock()  # the ring has one taker at a time
+        self._users = 0  # inside poll: the descriptor is closed behind the last of them
+        self._ended = False
+        self._event = ffi.new("dpm_event *")
+        self._lost = ffi.new("uint64_t *")
+        self._fd = os.eventfd(0, os.EFD_CLOEXEC | os.EFD_NONBLOCK)
+        try:
+            bus.subscribe(self)
+        except BaseException:
+            self.end()
+            raise
+
+    def fileno(self) -> int:
+        """For select, poll, asyncio's add_reader: readable while events are left. ClosedError after close."""
+        self._guard()
+        return self._fd
+
+    @property
+    def lost(self) -> int:
+        """Events that a full ring dropped, as far as they have been noticed by `take`."""
+        return int(self._lost[0])
+
+    @property
+    def closed(self) -> bool:
+        return self._ended
+
+    def _guard(self) -> None:
+        self._bus.process.guard("the subscription of events")
+        if self._ended:
+            raise ClosedError("the subscription of events was closed, by itself or with its master")
+
+    def take(self, timeout: float | None = None) -> Event | None:
+        """The oldest event left; None when none comes within `timeout` s (None: wait for ever; 0: only look).
+
+        Raises ClosedError when the subscription or its master is closed, also while waiting. Does not feed the output watchdog.
+        """
+        deadline = None if timeout is None else time.monotonic() + timeout
+        while True:
+            event = self._take()
+            if event is not None:
+                return event
+            left = None if deadline is None else deadline - time.monotonic()
+            if left is not None and left <= 0:
+                return None
+            self._poll(left)
+
+    def _take(self) -> Event | None:
+        with self._lock:
+            self._guard()
+            if not lib.dpm_ring_take(self.ring, self._event, self._lost):
+                # Empty: take the descriptor's mark away, then look again for what came in between.
+                try:
+                    os.eventfd_read(self._fd)
+                except BlockingIOError:
+                    return None
+                if not lib.dpm_ring_take(self.ring, self._event, self._lost):
+                    return None
+                os.eventfd_write(self._fd, 1)  # more may be left behind this one
+            found = self._event
+            return Event(EventKind(found.kind), None if found.address < 0 else found.address, found.time / NS, found.number,
+                         found.a, found.b, found.value)
+
+    def _poll(self, timeout: float | None) -> None:
+        with self._lock:
+            self._guard()
+            self._users += 1
+        try:
+            poll = select.poll()
+            poll.register(self._fd, select.POLLIN)
+            poll.poll(None if timeout is None else timeout * 1000)
+        finally:
+            with self._lock:
+                self._users -= 1
+                self._close_descriptor()
+
+    def __iter__(self) -> Iterator[Event]:
+        """Events as they come, until the subscription or its master is closed."""
+        while True:
+            try:
+                event = self.take()
+            except ClosedError:
+                return
+            if event is not None:
+                yield event
+
+    def end(self) -> None:
+        """The bus is gone or no longer writes here: wake those who wait and let the descriptor go."""
+        with self._lock:
+            if not self._ended:
+                self._ended = True
+                os.eventfd_write(self._fd, 1)
+            self._close_descriptor()
+
+    def _close_descriptor(self) -> None:
+        if self._ended and not self._users and self._fd >= 0:
+            os.close(self._fd)
+            self._fd = -1
+
+    def close(self) -> None:
+        """End the subscription. Idempotent."""
+        self._bus.process.guard("the subscription of events")
+        self._bus.unsubscribe(self)
+        self.end()
+
+    def __enter__(self) -> Events:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        if self._bus.process.here:
+            self.close()

@@ -1,0 +1,427 @@
+# SPDX-License-Identifier: MIT
+"""A DP slave as its master sees it: what it is to be, its process image, its state, and services by hand.
+
+A station belongs to one master; before `Master.add` it is only a description. Drive classes derive from `Station`,
+override the two hooks and use what is public here. It owns the blocks of its process image and touches no other object of
+the library.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+from dpmaster import _core
+from dpmaster._core import NS, ffi, lib
+from dpmaster.bus import Feed, Mode
+from dpmaster.diagnosis import Diagnosis, Reason, StationState, why
+from dpmaster.errors import ConfigurationError, DPTimeout, NotOperatingError, OutputsDiscarded, StationError
+
+if TYPE_CHECKING:
+    from dpmaster.master import Master
+
+__all__ = ["Frame", "Station", "StationStatistics"]
+
+Watchdog = float | Literal["default"] | None
+
+BY_HAND_WATCHDOG = 1.0  # s, of a Set_Prm by hand when the station says "default": no cycle is there to predict it from
+WATCHDOG_MAX = 650.25  # s, 255 * 255 * 10 ms
+
+# Station_Status of Set_Prm, EN 50170 part 8
+_WD_ON, _FREEZE_REQ, _SYNC_REQ, _UNLOCK_REQ, _LOCK_REQ = 0x08, 0x10, 0x20, 0x40, 0x80
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """Inputs that came in one telegram. ``cycle`` is the bus cycle, ``time`` in s of `time.monotonic`.
+
+    ``number`` counts frames, 0: none yet. ``valid`` is False while the station is not in Data_Exchange: after a loss the octets
+    stay and validity is gone.
+    """
+
+    octets: bytes
+    number: int
+    cycle: int
+    time: float
+    valid: bool
+
+
+@dataclass(frozen=True, slots=True)
+class StationStatistics:
+    """Counters since the station was added; Tsdr in s as well as the port can tell, None before the first measurement."""
+
+    exchanges: int
+    diagnoses: int
+    repetitions: int
+    unanswered: int
+    refused: int
+    invalid: int
+    starts: int
+    losses: int
+    tsdr_min: float | None
+    tsdr_max: float | None
+
+
+def watchdog_factors(seconds: float | None) -> tuple[int, int]:
+    """WD_Fact_1 and WD_Fact_2 (1..255 each) of the shortest watchdog not under `seconds`: factors times 10 ms. None: (0, 0)."""
+    if seconds is None:
+        return 0, 0
+    if not 0 < seconds <= WATCHDOG_MAX:
+        raise ConfigurationError(f"watchdog {seconds} s: above 0 and up to {WATCHDOG_MAX} s, or None for no watchdog")
+    ticks = max(1, -(-round(seconds * 1_000_000) // 10_000))
+    first = range(-(-ticks // 255), 256)
+    return min(((f, -(-ticks // f)) for f in first), key=lambda pair: (pair[0] * pair[1], pair[0]))
+
+
+def _within(name: str, value: int, low: int, high: int, note: str = "") -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+        raise ConfigurationError(f"{name} {value!r}: {low} to {high}{note}")
+    return value
+
+
+def _address(address: int) -> int:
+    if address == 126:
+        raise ConfigurationError("address 126 is that of a slave which waits for its address: give it one from 0 to 125 first, "
+                                 "with Set_Slave_Add or its switches")
+    return _within("address", address, 0, 125)
+
+
+class Station:
+    """A slave of a DP master.
+
+    address: 0..125. ident_number: 0..FFFFh, as its maker registered it. configuration: Chk_Cfg identifiers, 1..244 octets;
+    they say how long inputs and outputs are. user_parameters: User_Prm_Data of Set_Prm, 0..237 octets.
+
+    name: for messages. watchdog: s (rounded up to WD_Fact_1 * WD_Fact_2 * 10 ms), "default" (ten predicted cycles, 100 ms
+    to 1 s), or None: off, with a warning; then outputs stay when the master dies. min_tsdr: Tbit, 11..255, or 0: leave the
+    slave's own. max_tsdr: Tbit for each rate in bit/s that differs from the standard's table. group: Group_Ident, a bit for
+    each of 8 groups. sync, freeze: ask for these in Set_Prm. fail_safe: in Clear it gets an empty Data_Exchange instead of
+    zeros. min_slave_interval: 100 us, 0..65535. resume: "safe", outputs are zeros after a loss until the next commit, or
+    "hold", the last commit is sent again (bare stations only). active=False: listed, never asked: for services by hand.
+
+    Raises ConfigurationError for anything outside these ranges.
+    """
+
+    def __init__(self, address: int, ident_number: int, configuration: bytes, user_parameters: bytes = b"", *,
+                 name: str | None = None, watchdog: Watchdog = "default", min_tsdr: int = 11,
+                 max_tsdr: Mapping[int, int] | None = None, group: int = 0, sync: bool = False, freeze: bool = False,
+                 fail_safe: bool = False, min_slave_interval: int = 1, resume: Literal["safe", "hold"] = "safe",
+                 active: bool = True) -> None:
+        self.address = _address(address)
+        self.ident_number = _within("ident_number", ident_number, 0, 0xFFFF)
+        self.configuration = bytes(configuration)
+        self.user_parameters = bytes(user_parameters)
+        self.name = name or f"station {address}"
+        self.watchdog = watchdog
+        self.min_tsdr = min_tsdr
+        self.max_tsdr = dict(max_tsdr or {})
+        self.group = _within("group", group, 0, 255)
+        self.sync = sync
+        self.freeze = freeze
+        self.fail_safe = fail_safe
+        self.min_slave_interval = _within("min_slave_interval", min_slave_interval, 0, 65535, " (of 100 us)")
+        self.resume = resume
+        self.active = active
+        self._check()
+        self.input_length, self.output_length = self._lengths()
+        self._master: Master | None = None
+        self._index: int | None = None
+        self._commit_lock = threading.Lock()
+        self._image_lock = threading.Lock()
+        self._factors = (0, 0)
+
+    def _check(self) -> None:
+        if self.min_tsdr:
+            _within("min_tsdr", self.min_tsdr, 11, 255, " Tbit, or 0 to leave the slave's own")
+        for rate, bits in self.max_tsdr.items():
+            _within(f"max_tsdr at {rate} bit/s", bits, 37, 1023, " Tbit")
+        if not 1 <= len(self.configuration) <= lib.DPM_IO_MAX:
+            raise ConfigurationError(f"configuration of {len(self.configuration)} octets: 1 to {lib.DPM_IO_MAX}")
+        if len(self.user_parameters) > 237:
+            raise ConfigurationError(f"user_parameters of {len(self.user_parameters)} octets: at most 237")
+        if self.resume not in ("safe", "hold"):
+            raise ConfigurationError(f"resume {self.resume!r}: 'safe' or 'hold'")
+        if self.watchdog != "default":
+            if isinstance(self.watchdog, str):
+                raise ConfigurationError(f"watchdog {self.watchdog!r}: seconds, 'default' or None")
+            watchdog_factors(self.watchdog)
+
+    def _lengths(self) -> tuple[int, int]:
+        inputs, outputs = ffi.new("uint16_t *"), ffi.new("uint16_t *")
+        octets = self.configuration
+        _core.check(lib.dpm_configuration_lengths(octets, len(octets), inputs, outputs),
+                    f"configuration {octets.hex(' ').upper()}")
+        return inputs[0], outputs[0]
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} {self.name!r} address {self.address}, ident {self.ident_number:04X}h>"
+
+    # ---- what Master uses
+
+    def _attach(self, master: Master) -> None:
+        """Become `master`'s: the process image begins."""
+        self._outputs_memory = _core.block(lib.dpm_outputs_size())
+        self._outputs = lib.dpm_outputs_init(self._outputs_memory, len(self._outputs_memory), self.output_length)
+        self._image_memory = _core.block(lib.dpm_image_size())
+        self._image = lib.dpm_image_init(self._image_memory, len(self._image_memory))
+        self._master = master
+
+    def _settings(self) -> Any:
+        """The ``dpm_slave_set``; the watchdog's factors are those of `_watch`."""
+        settings = ffi.new("dpm_slave_set *")
+        settings.address = self.address
+        settings.ident_number = self.ident_number
+        settings.configuration = self.configuration
+        settings.configuration_length = len(self.configuration)
+        settings.user_parameters = self.user_parameters
+        settings.user_parameters_length = len(self.user_parameters)
+        settings.station_status = self._features()
+        settings.wd_fact_1, settings.wd_fact_2 = self._factors
+        settings.min_tsdr = self.min_tsdr
+        settings.group = self.group
+        settings.fail_safe = self.fail_safe
+        settings.hold = self.resume == "hold"
+        settings.active = self.active
+        settings.min_slave_interval = self.min_slave_interval
+        return settings
+
+    def _features(self) -> int:
+        return (_SYNC_REQ if self.sync else 0) | (_FREEZE_REQ if self.freeze else 0)
+
+    def _watch(self, default: Callable[[], float]) -> bool:
+        """Settle the watchdog, `default()` when it is "default": True when the factors changed."""
+        seconds = default() if self.watchdog == "default" else self.watchdog
+        factors = watchdog_factors(seconds if seconds is None else float(seconds))
+        changed, self._factors = factors != self._factors, factors
+        return changed
+
+    def _status(self) -> Any:
+        """The ``dpm_slave_status``, or None while the master has not begun."""
+        master = self._owner()
+        return None if self._index is None else master._bus.slave(self._index)
+
+    def _trouble(self, status: Any) -> str:
+        diagnosis = _diagnosis(status)
+        text = why(status.reason, status.detail, ident_number=self.ident_number, configuration=self.configuration,
+                   diagnosis=diagnosis)
+        if text or status.state == StationState.DATA:
+            return text
+        if status.state == StationState.OFFLINE:
+            return why(Reason.NO_ANSWER, status.state, ident_number=self.ident_number)
+        if diagnosis is not None and not diagnosis.ready:
+            return "; ".join(diagnosis.texts)
+        return f"is still being started ({StationState(status.state).name})"
+
+    def _before_operate(self) -> list[str]:
+        """Hook: what a person should know before this station is operated, logged as warnings."""
+        return []
+
+    def _rest(self) -> None:
+        """Hook: the master is about to leave Operate. A drive commits its stop word and waits, bounded, until it was answered.
+
+        What it raises is logged and stops nothing. It runs only while the station is in Data_Exchange.
+        """
+
+    # ---- the process image
+
+    def _owner(self) -> Master:
+        if self._master is None:
+            raise ConfigurationError(f"{self.name} belongs to no master yet: master.add(station) first")
+        self._master._bus.guard()
+        return self._master
+
+    @property
+    def frame(self) -> Frame:
+        """The newest inputs with cycle, time and validity. Never waits."""
+        self._owner()
+        with self._image_lock:
+            frame = lib.dpm_image_get(self._image)
+            octets = bytes(ffi.buffer(frame.octets, frame.length))
+            return Frame(octets.ljust(self.input_length, b"\0"), frame.number, frame.cycle, frame.time / NS, frame.valid)
+
+    @property
+    def inputs(self) -> bytes:
+        """The newest input octets, `input_length` of them; zeros before the first."""
+        return self.frame.octets
+
+    @property
+    def outputs(self) -> bytes:
+        """What the next commit builds on: the last commit, or zeros when outputs went safe since then."""
+        self._owner()
+        octets = ffi.new("uint8_t[]", self.output_length or 1)
+        with self._commit_lock:
+            lib.dpm_outputs_peek(self._outputs, octets)
+        return bytes(ffi.buffer(octets, self.output_length))
+
+    @outputs.setter
+    def outputs(self, octets: bytes) -> None:
+        if len(octets) != self.output_length:
+            raise ConfigurationError(f"{self.name} has {self.output_length} output octets, {len(octets)} were given: "
+                                     "set all of them, or use update(offset, octets)")
+        self.update(0, octets)
+
+    def update(self, offset: int, octets: bytes | bytearray | Iterable[int]) -> int:
+        """Change some outputs and commit the whole image in one step; returns the commit's number (1, 2, ...).
+
+        Octets not named keep what the last commit gave them. Any thread may call. It feeds the output watchdog and makes the
+        calling thread the one whose waits do so. Raises ConfigurationError outside the image, NotOperatingError when the
+        output watchdog has latched outputs safe, ClosedError.
+        """
+        master = self._owner()
+        data = bytes(octets)
+        if offset < 0 or offset + len(data) > self.output_length:
+            raise ConfigurationError(f"{self.name} has output octets 0 to {self.output_length - 1}; {len(data)} octets at "
+                                     f"offset {offset} do not fit")
+        with self._commit_lock:
+            number = lib.dpm_outputs_commit(self._outputs, offset, data, len(data), _core.now())
+        if number == lib.DPM_E_LATCHED:
+            raise NotOperatingError(master._latch_text(), dpm_code=number)
+        _core.check(number, f"commit outputs of {self.name}")
+        master._bus.feed(Feed.COMMIT)
+        return int(number)
+
+    def wait_sent(self, number: int, timeout: float | None = 1.0) -> None:
+        """Wait until commit `number`, or one after it, was sent and answered.
+
+        Raises OutputsDiscarded, with the reason, when no telegram will ever carry it; DPTimeout after `timeout` s; ClosedError.
+        """
+        master = self._owner()
+        result = master._bus.wait(lambda: lib.dpm_outputs_was_sent(self._outputs, number) or None, timeout)
+        if result is None:
+            raise DPTimeout(f"{self.name}: commit {number} was not answered in {timeout} s; {self._standing(master)}")
+        if result == lib.DPM_E_DISCARDED:
+            raise OutputsDiscarded(f"{self.name}: commit {number} will never be sent; {self._standing(master)}", number=number,
+                                   dpm_code=result)
+        _core.check(result, f"{self.name}: wait for commit {number}")
+
+    def wait(self, predicate: Callable[[Frame], bool], timeout: float | None) -> Frame:
+        """Wait until `predicate` is true of a valid frame: the newest one, then each that comes. Returns that frame.
+
+        In the thread of the last commit it feeds the output watchdog. Raises DPTimeout after `timeout` s (None: never),
+        ClosedError.
+        """
+        master = self._owner()
+        seen = -1
+
+        def ready() -> Frame | None:
+            nonlocal seen
+            frame = self.frame
+            if frame.number == seen:
+                return None
+            seen = frame.number
+            return frame if frame.valid and predicate(frame) else None
+
+        found = master._bus.wait(ready, timeout)
+        if found is None:
+            raise DPTimeout(f"{self.name}: what was waited for did not come in {timeout} s; {self._standing(master)}")
+        return found
+
+    def _standing(self, master: Master) -> str:
+        """How things stand, for the message of a wait that failed."""
+        if self._index is None:
+            return "the master has not begun: operate() first"
+        general = master._status()
+        if general.latched:
+            return master._latch_text()
+        status = self._status()
+        trouble = self._trouble(status)
+        if status.state != StationState.DATA:
+            return f"the station {trouble}"
+        text = f"the station is in Data_Exchange and the master in {Mode(general.mode).name.title()}"
+        return f"{text}; last trouble: the station {trouble}" if trouble else text
+
+    # ---- state
+
+    @property
+    def state(self) -> StationState:
+        """Where the master's handler stands with this station."""
+        status = self._status()
+        if status is None:
+            return StationState.OFFLINE if self.active else StationState.INACTIVE
+        return StationState(status.state)
+
+    @property
+    def reason(self) -> str:
+        """In words why the station is not in Data_Exchange, or why it left it last; "" when nothing is known against it."""
+        status = self._status()
+        return "" if status is None else self._trouble(status)
+
+    @property
+    def diagnosis(self) -> Diagnosis | None:
+        """The last diagnosis fetched, None before the first."""
+        status = self._status()
+        return None if status is None else _diagnosis(status)
+
+    @property
+    def statistics(self) -> StationStatistics:
+        status = self._status()
+        if status is None:
+            return StationStatistics(0, 0, 0, 0, 0, 0, 0, 0, None, None)
+        s = status.statistics
+        low, high = (None if value < 0 else value / NS for value in (s.tsdr_min, s.tsdr_max))
+        return StationStatistics(s.exchanges, s.diagnoses, s.repetitions, s.unanswered, s.refused, s.invalid, s.starts,
+                                 s.losses, low, high)
+
+    # ---- services by hand, for debugging step by step
+
+    def slave_diag(self, timeout: float = 1.0) -> Diagnosis:
+        """Slave_Diag by hand; also for a station in the cycle. Raises StationError when it does not answer or refuses."""
+        answer = self._ask("Slave_Diag", lib.DPM_SAP_SLAVE_DIAG, b"", timeout)
+        if len(answer) < 6:
+            raise StationError(f"{self.name} answered Slave_Diag with {len(answer)} octets, 6 at least are due",
+                               address=self.address, reason="invalid answer")
+        return Diagnosis(answer, time=_core.now() / NS)
+
+    def set_prm(self, user_parameters: bytes | None = None, *, lock: bool = True, unlock: bool = False,
+                watchdog: Watchdog = "default", ident_number: int | None = None, timeout: float = 1.0) -> None:
+        """Set_Prm by hand with the station's own values where none are given.
+
+        watchdog: s; "default" is the station's own, 1 s when that says "default" as well; None: off, outputs then stay.
+        Taken is not accepted: the verdict is in the next `slave_diag`. Raises NotOperatingError in the cycle, StationError.
+        """
+        self._not_in_cycle("Set_Prm")
+        chosen = self.watchdog if watchdog == "default" else watchdog
+        seconds = BY_HAND_WATCHDOG if chosen == "default" else chosen
+        factors = watchdog_factors(None if seconds is None else float(seconds))
+        status = self._features()
+        for wanted, bit in ((lock, _LOCK_REQ), (unlock, _UNLOCK_REQ), (any(factors), _WD_ON)):
+            status |= bit if wanted else 0
+        ident = self.ident_number if ident_number is None else _within("ident_number", ident_number, 0, 0xFFFF)
+        parameters = self.user_parameters if user_parameters is None else bytes(user_parameters)
+        if len(parameters) > 237:
+            raise ConfigurationError(f"user_parameters of {len(parameters)} octets: at most 237")
+        octets = bytes((status, *factors, self.min_tsdr, *ident.to_bytes(2, "big"), self.group)) + parameters
+        self._ask("Set_Prm", lib.DPM_SAP_SET_PRM, octets, timeout)
+
+    def chk_cfg(self, configuration: bytes | None = None, timeout: float = 1.0) -> None:
+        """Chk_Cfg by hand, the station's own configuration when none is given. The verdict is in the next `slave_diag`."""
+        self._not_in_cycle("Chk_Cfg")
+        octets = self.configuration if configuration is None else bytes(configuration)
+        self._ask("Chk_Cfg", lib.DPM_SAP_CHK_CFG, octets, timeout)
+
+    def data_exchange(self, octets: bytes = b"", timeout: float = 1.0) -> bytes:
+        """Data_Exchange by hand: sends `octets` as outputs, whatever their number, and returns the inputs."""
+        self._not_in_cycle("Data_Exchange")
+        return self._ask("Data_Exchange", None, bytes(octets), timeout)
+
+    def _not_in_cycle(self, service: str) -> None:
+        if self.active and self._owner().mode >= Mode.CLEAR:
+            raise NotOperatingError(f"{service} by hand to {self.name}, which is in the master's cycle: add it with "
+                                    "active=False, or stop() the master first")
+
+    def _ask(self, service: str, sap: int | None, octets: bytes, timeout: float) -> bytes:
+        """One SRD to this station: the answer's data. StationError when it does not answer or its answer is a refusal."""
+        own = None if sap is None else lib.DPM_SAP_MASTER
+        answer = self._owner().request(self.address, "SRD", sap, own, octets, timeout=timeout)
+        if not answer.ok:
+            raise StationError(f"{self.name} refuses {service}: {answer.meaning}", address=self.address, reason=answer.meaning)
+        return answer.data
+
+
+def _diagnosis(status: Any) -> Diagnosis | None:
+    if status.diagnosis_length < 6:
+        return None
+    octets = bytes(ffi.buffer(status.diagnosis, status.diagnosis_length))
+    return Diagnosis(octets, status.diagnosis_number, status.diagnosis_time / NS)
