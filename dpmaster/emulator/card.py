@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """What a card behind an emulated slave is: a pure machine on given time, with no thread and no binding.
 
-The host (a segment or a line) owns the DP slave itself - states, checks, watchdog, stored answer - and shows the card what
-has become of the exchange; the card gives back the octets for the master. Times are seconds from any monotonic origin,
-so that a test can let hours pass in no time. This room may touch nothing but the standard library.
+The host (a segment or a line) owns the DP slave itself - states, checks, watchdog, stored answer - and shows the card
+what has become of the exchange; the card gives back the octets for the master. Times are seconds from any monotonic
+origin, so that a test can let hours pass in no time. This room may touch nothing but the standard library.
 """
 
 from __future__ import annotations

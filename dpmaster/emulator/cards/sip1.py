@@ -1,0 +1,562 @@
+# SPDX-License-Identifier: MIT
+"""The SI-P1 option card in a Yaskawa V7: registers, fast words, parameter channel, faults, LEDs and the drive behind.
+
+Behaviour is that of the V7 PROFIBUS-DP Option manual, TM.V7.12. Everything happens inside `step`, on the time that the
+host gives; a lock lets a program look at `registers`, `motor` and the rest while the host's thread steps.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import random
+import threading
+from collections.abc import Iterator, MutableMapping
+from typing import ClassVar, Literal
+
+from dpmaster.emulator.card import Card, Exchange, SlaveState
+from dpmaster.emulator.motor import Motor
+from dpmaster.errors import ConfigurationError
+from dpmaster.profiles.yaskawa import (
+    COMMISSIONED,
+    CONFIGURATIONS,
+    CONTROL,
+    CURRENT_UNIT,
+    FAULTS,
+    HS,
+    INPUT_TERMINALS,
+    LAST_REGISTER,
+    LED_ROWS,
+    PARAMETERS,
+    TORQUE_UNIT,
+    WD_MODULUS,
+    WD_PERIOD,
+    WD_SHIFT,
+    Access,
+    AccessCode,
+    ChannelMap,
+    Command,
+    Configuration,
+    FrequencyUnit,
+    Function,
+    LEDs,
+    Status,
+    Transfer,
+    WordOrder,
+    check_address,
+    get_word,
+    register,
+    register_name,
+)
+
+INITIALISATION = 0.1
+"""Seconds from power-up until the card's CPU runs: it shows "CPU Init", the drive is not ready."""
+RECEIPT, SENDING = 0.001, 0.002
+"""Seconds that STATUS stays 00 and 01; the drive's own 10 to 15 ms follow as 10."""
+SCAN = 0.010
+"""Seconds between two looks at a ramp under way."""
+IDLE = 1.0
+"""Seconds between two steps while nobody exchanges data."""
+
+_MONITORS = range(0x0020, 0x0040)
+_PARAMETERS = range(0x0101, 0x0200)
+_N003, _N004, _N011, _N018, _N019, _N020, _N024, _N035, _N052, _N057, _N152 = map(
+    register, ("n003", "n004", "n011", "n018", "n019", "n020", "n024", "n035", "n052", "n057", "n152"))
+
+_log = logging.getLogger(__name__)
+
+
+class Registers(MutableMapping[int | str, int]):
+    """The drive's registers, 0000h to 0600h, by address or name ("n003"), as a person with the keypad sees them.
+
+    Parameters (n001 ..) keep their limits; 0020h to 003Fh are monitors. Every other register is mere room: it keeps
+    what was written, 0 to FFFFh. Writing a monitor pins its value until ``del`` frees it, for tests of the other side.
+    The card's manual names one monitor, 0037h (output power, here in W); 0020h, 0021h, 0023h, 0024h and 0027h are the
+    V7's usual ones.
+    """
+
+    def __init__(self, card: SIP1, values: dict[int, int]) -> None:
+        self._card = card
+        self._values = values
+
+    def __getitem__(self, key: int | str) -> int:
+        address = self._address(key)
+        with self._card._lock:
+            if address in self._values:
+                return self._values[address]
+            return self._card._monitor(address) if address in _MONITORS else 0
+
+    def __setitem__(self, key: int | str, value: int) -> None:
+        address = self._address(key)
+        low, high = self.limits(address)
+        if not isinstance(value, int) or not low <= value <= high:
+            raise ConfigurationError(f"{register_name(address)} = {value!r}: the register takes {low} to {high}")
+        with self._card._lock:
+            self._values[address] = int(value)
+
+    def __delitem__(self, key: int | str) -> None:
+        """Back to the factory's value; a pinned monitor lives again."""
+        address = self._address(key)
+        with self._card._lock:
+            self._values.pop(address, None)
+            if address in PARAMETERS:
+                self._values[address] = PARAMETERS[address].default
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(range(LAST_REGISTER + 1))
+
+    def __len__(self) -> int:
+        return LAST_REGISTER + 1
+
+    @staticmethod
+    def limits(address: int) -> tuple[int, int]:
+        """Lowest and highest value of a register."""
+        parameter = PARAMETERS.get(address)
+        return (parameter.minimum, parameter.maximum) if parameter else (0, 0xFFFF)
+
+    @staticmethod
+    def _address(key: int | str) -> int:
+        address = register(key)
+        if address > LAST_REGISTER:
+            raise ConfigurationError(f"register {key!r}: the drive has 0000h to {LAST_REGISTER:04X}h")
+        return address
+
+
+class SIP1(Card):
+    """A V7 drive with its PROFIBUS card.
+
+    `parameters` is "commissioned" (n003 = 3, n004 = 9, n152 = 1) or "factory" (the manual's defaults: the drive ignores
+    the bus). `word_order` turns the words of the fast area. `seed` settles how long the drive takes over each parameter
+    access. Addresses outside 1..99 are an error, below 3 a warning.
+
+    State to read at any time: `motor`, `registers`, `running`, `status`, `outputs`, `inputs`, `fault`, `leds`,
+    `frequency_reference`, `torque_reference`. Conditions to set: `undervoltage`, `storing`, `pulse_train`, `inject`.
+    """
+
+    ident_number: ClassVar[int] = 0x00CA
+    configurations: ClassVar[tuple[bytes, ...]] = tuple(c.identifier for c in CONFIGURATIONS)
+    sync: ClassVar[bool] = True
+    freeze: ClassVar[bool] = True
+
+    def __init__(self, address: int, *, parameters: Literal["commissioned", "factory"] = "commissioned",
+                 word_order: WordOrder = "big", motor: Motor | None = None, seed: int | None = None) -> None:
+        if warning := check_address(address):
+            _log.warning("%s", warning)
+        if parameters not in ("commissioned", "factory"):
+            raise ConfigurationError(f"parameters {parameters!r}: give 'commissioned' or 'factory'")
+        if word_order not in ("big", "little"):
+            raise ConfigurationError(f"word_order {word_order!r}: give 'big' or 'little'")
+        self.address = address
+        self.word_order: WordOrder = word_order
+        self.motor = motor or Motor()
+        self.undervoltage = False
+        """Main circuit undervoltage: the output is off, writing is refused."""
+        self.storing = False
+        """The drive is storing parameter data: writing is refused."""
+        self.pulse_train = 0
+        """Pulses at terminal RP, as the word of the bus shows them."""
+        self._lock = threading.RLock()
+        values = {address: parameter.default for address, parameter in PARAMETERS.items()}
+        self.registers = Registers(self, values | dict(COMMISSIONED) if parameters == "commissioned" else values)
+        self._random = random.Random(address if seed is None else seed)
+        self._injected: str | None = None
+        self._powered: float | None = None
+        self._forget()
+
+    def _forget(self) -> None:
+        """What power-up finds: nothing that only memory held."""
+        self._now = 0.0
+        self._exchange = Exchange()
+        self._established = False
+        self._fault: str | None = None
+        self._command = Command(0)
+        self._armed = True
+        self._reference = 0.0
+        self._torque_reference = 0
+        self._output_command = 0
+        self._channel = _Channel(self)
+
+    # -- What a program reads and does -----------------------------------------------------------------------------
+
+    @property
+    def running(self) -> bool:
+        """Whether the drive feeds the motor, slowing down included."""
+        return self.motor.powered
+
+    @property
+    def frequency_reference(self) -> float:
+        """Hz, the reference that the drive follows, without sign."""
+        return self._reference
+
+    @property
+    def torque_reference(self) -> float:
+        """Per cent, the last torque reference of Basic data; V/f control makes no use of it."""
+        return self._torque_reference * TORQUE_UNIT
+
+    @property
+    def fault(self) -> str | None:
+        """The fault on the drive's display ("BUS", "EF0", ..., table 1.9), None when there is none."""
+        return self._fault
+
+    @property
+    def inputs(self) -> dict[str, bool]:
+        """Input terminals S3 to S7 as the bus closes them."""
+        return {name: bool(self._command & flag) for name, flag in INPUT_TERMINALS.items()}
+
+    @property
+    def outputs(self) -> dict[str, bool]:
+        """Output terminals MA, P1 and P2: closed or not, by their functions n057 to n059."""
+        with self._lock:
+            return {name: self._terminal(index) for index, name in enumerate(("MA", "P1", "P2"))}
+
+    @property
+    def leds(self) -> LEDs:
+        """The indicators at the front, as tables 1.6 to 1.8 print them."""
+        with self._lock:
+            return LED_ROWS[self._row()]
+
+    def inject(self, fault: str) -> None:
+        """Break the card or its connection: F06, F21, F22 or F23. Only a power cycle (`reset`) mends it (table 1.9)."""
+        if fault not in FAULTS or not fault.startswith("F"):
+            raise ConfigurationError(f"fault {fault!r}: inject F06, F21, F22 or F23; BUS and EF0 come from the bus")
+        with self._lock:
+            self._injected = fault
+            self._judge()
+
+    # -- What the host does ----------------------------------------------------------------------------------------
+
+    def reset(self, now: float) -> None:
+        with self._lock:
+            for address in [a for a in self.registers._values if a not in _PARAMETERS]:
+                del self.registers._values[address]
+            self._injected = None
+            self._forget()
+            self.motor.cut(now)
+            self._powered = self._now = now
+
+    def step(self, now: float, exchange: Exchange) -> bytes:
+        with self._lock:
+            if self._powered is None:
+                self.reset(now)
+            self._live(now)
+            self._see(exchange)
+            return self._image()
+
+    def next_step(self, now: float) -> float:
+        with self._lock:
+            if self._powered is None:
+                return now
+            times = [now + IDLE, self._channel.due]
+            if now < self._powered + INITIALISATION:
+                times.append(self._powered + INITIALISATION)
+            if not self.motor.arrived:
+                times.append(min(now + SCAN, self.motor.settles))
+            if self._exchange.state is SlaveState.DATA_EXCH:
+                times.append(self._powered + WD_PERIOD * (self._ticks(now) + 1))
+            return max(min(times), now + 1e-4)
+
+    def _live(self, now: float) -> None:
+        """Let pass what became due since the last step, each event at its own time."""
+        while (due := self._channel.due) <= now:
+            self.motor.advance(due)
+            self._channel.advance(due)
+            self._act(due)
+        self.motor.advance(now)
+        self._now = now
+        self._act(now)
+
+    def _see(self, exchange: Exchange) -> None:
+        """Take over what the slave says now."""
+        exchanging = exchange.state is SlaveState.DATA_EXCH and exchange.configuration >= 0
+        if exchanging and self._exchange.state is not SlaveState.DATA_EXCH:
+            self._channel = _Channel(self)  # HS is cleared after re-initialisation
+        self._exchange = exchange
+        self._established = self._established or exchanging
+        where = self._configuration
+        octets = exchange.outputs if exchanging and exchange.valid and where else b""
+        if where is None:
+            self._take(Command(0), 0)
+            return
+        words = {name: get_word(octets, offset, self.word_order) for name, offset in where.outputs.items()}
+        self._torque_reference = words.get("torque_reference", 0)
+        self._output_command = words.get("multi_function_output", 0)
+        self._take(Command(words["command"] & _KNOWN), words["frequency_reference"])
+        if where.channel and self._ready:
+            self._channel.see(octets.ljust(where.size, b"\0"), where.channel, self._now)
+
+    @property
+    def _configuration(self) -> Configuration | None:
+        index = self._exchange.configuration
+        if self._exchange.state is not SlaveState.DATA_EXCH or not 0 <= index < len(CONFIGURATIONS):
+            return None
+        return CONFIGURATIONS[index]
+
+    def _image(self) -> bytes:
+        """The input octets of this moment."""
+        where = self._configuration
+        if where is None:
+            return b""
+        image = bytearray(where.size)
+        unit = self._unit()
+
+        def count(hz: float) -> int:
+            return min(round(abs(hz) / unit.hz), 0xFFFF) if unit else 0
+
+        words = {"status": int(self.status), "frequency_reference": count(self._reference),
+                 "output_frequency": count(self.motor.frequency), "pulse_train": self.pulse_train & 0xFFFF,
+                 "output_current": round(self.motor.current / CURRENT_UNIT),
+                 "torque_reference": min(round(abs(self.motor.torque) * 100 / TORQUE_UNIT), 0xFFFF)}
+        for name, offset in where.inputs.items():
+            image[offset:offset + 2] = words[name].to_bytes(2, self.word_order)
+        if channel := where.channel:
+            image[channel.offset:channel.data + 2 * channel.words] = self._channel.answer.encode(channel.words)
+            image[channel.handshake] = (self._channel.hs | self._channel.transfer
+                                        | self._ticks(self._now) % WD_MODULUS << WD_SHIFT)
+        return bytes(image)
+
+    # -- The drive -------------------------------------------------------------------------------------------------
+
+    @property
+    def _ready(self) -> bool:
+        """Whether the card's CPU has come up."""
+        return self._powered is not None and self._now >= self._powered + INITIALISATION
+
+    def _ticks(self, now: float) -> int:
+        """How often WD has counted up."""
+        return math.floor((now - (self._powered or 0.0)) / WD_PERIOD)
+
+    def _unit(self) -> FrequencyUnit | None:
+        """The unit of the frequency words, None for user settings (n035 from 40), which no table defines."""
+        try:
+            return FrequencyUnit.of(self.registers[_N035], self.registers[_N152], self.registers[_N011] / 10)
+        except ConfigurationError:
+            return None
+
+    def _take(self, command: Command, reference: int) -> None:
+        """A new command word and frequency reference have come from the bus."""
+        reset_edge = bool(command & ~self._command & Command.FAULT_RESET) or self._input_edge(command, 5)
+        self._command = command
+        unit = self._unit()
+        maximum = self.registers[_N011] / 10
+        if self.registers[_N004] == 9:
+            self._reference = min(unit.to_hz(reference), maximum) if unit else 0.0
+        else:  # the keypad has a reference; the terminals and serial lines of this drive are not connected
+            self._reference = min(self.registers[_N024] / 100, maximum) if self.registers[_N004] == 1 else 0.0
+        if reset_edge and self._fault and not self._cause():
+            self._fault = None
+        self._judge()
+        self._act(self._now)
+
+    def _input_edge(self, command: Command, function: int) -> bool:
+        """Whether `command` closes an open input terminal of that function (n052 to n056)."""
+        return any(self.registers[_N052 + i] == function and command & ~self._command & flag
+                   for i, flag in enumerate(INPUT_TERMINALS.values()))
+
+    def _cause(self) -> str | None:
+        """The fault that is there now, whether displayed or not."""
+        if self._injected:
+            return self._injected
+        if self._established and self._exchange.state is not SlaveState.DATA_EXCH:
+            return "BUS"
+        if self._command & Command.EXTERNAL_FAULT:
+            return "EF0"
+        for i, (name, flag) in enumerate(INPUT_TERMINALS.items()):
+            if self._command & flag and self.registers[_N052 + i] == 3:  # external fault, normally open
+                return f"EF{name[1]}"
+        return None
+
+    def _judge(self) -> None:
+        """The first fault stays on the display until it is reset; one in the card itself goes before it."""
+        self._fault = self._injected or self._fault or self._cause()
+
+    def _direction(self) -> int:
+        """+1, -1 or 0: where the run command leads.
+
+        After a fault the command has to be taken away once before it counts again: a reset alone starts no motor.
+        """
+        run = self._command & Command.RUN
+        if not run:
+            self._armed = True
+        if self._fault or self.undervoltage:
+            self._armed = False
+        if not self._armed or not self._ready or self.registers[_N003] != 3:
+            return 0
+        return {Command.FORWARD: 1, Command.REVERSE: -1}.get(run, 0)  # both at once: stop
+
+    def _act(self, now: float) -> None:
+        """Lead the motor where command, parameters and faults say."""
+        direction = self._direction()
+        if self.undervoltage or self._fault not in (None, "BUS"):
+            self.motor.cut(now)  # the output is shut off
+            return
+        if direction == 0 and (not self.motor.powered or self.motor.frequency == 0):
+            self.motor.cut(now)
+            return
+        maximum = self.registers[_N011] / 10
+        second = 0.01 if self.registers[_N018] else 0.1
+        up, down = (maximum / (self.registers[n] * second) if self.registers[n] else math.inf for n in (_N019, _N020))
+        self.motor.drive(now, direction * self._reference, up, down)
+
+    @property
+    def status(self) -> Status:
+        """The drive status word."""
+        with self._lock:
+            motor, command = self.motor, self._command
+            moving = bool(command & Command.RUN)
+            backwards = motor.frequency < 0 or (motor.frequency == 0 and command & Command.RUN == Command.REVERSE)
+            reset = command & Command.FAULT_RESET
+            remote = all(self.registers[name] == needed for name, needed in CONTROL.items())
+            flags = (
+                (Status.RUNNING, motor.powered),
+                (Status.ZERO_SPEED, motor.frequency == 0),
+                (Status.REVERSE, backwards),
+                (Status.RESET, reset),
+                (Status.FREQUENCY_AGREE, motor.powered and moving and motor.arrived),
+                (Status.READY, self._ready and not self._fault and not self.undervoltage),
+                (Status.MINOR_FAULT, command & Command.RUN == Command.RUN),
+                (Status.MAJOR_FAULT, self._fault),
+                (Status.OPE_ERROR, self._unit() is None),
+                (Status.LOCAL_REMOTE, remote),
+                (Status.OUTPUT_1, self._terminal(0)),
+                (Status.OUTPUT_2, self._terminal(1)),
+                (Status.OUTPUT_3, self._terminal(2)),
+            )
+            return Status(sum(flag for flag, on in flags if on)) if self._ready else Status(0)
+
+    def _terminal(self, index: int) -> bool:
+        """Whether output terminal `index` is closed.
+
+        Functions: 0 fault, 1 running, 2 frequency agree, 3 zero speed, 18 command from communication; others stay open.
+        """
+        motor = self.motor
+        match self.registers[_N057 + index]:
+            case 0:
+                return self._fault is not None
+            case 1:
+                return motor.powered
+            case 2:
+                return motor.powered and motor.arrived and bool(self._command & Command.RUN)
+            case 3:
+                return motor.frequency == 0
+            case 18:
+                return bool(self._output_command & 1 << index)
+        return False
+
+    def _monitor(self, address: int) -> int:
+        """The living value of a monitor register."""
+        motor, status = self.motor, self.status
+        unit = self._unit()
+        match address:
+            case 0x0020:  # bit 0 running, 1 reverse, 2 ready, 3 fault
+                flags = (Status.RUNNING, Status.REVERSE, Status.READY, Status.MAJOR_FAULT)
+                return sum(1 << i for i, flag in enumerate(flags) if status & flag)
+            case 0x0021:  # bit 3 external fault
+                return 1 << 3 if self._fault and self._fault.startswith("EF") else 0
+            case 0x0023:
+                return unit.to_bus(self._reference) if unit else 0
+            case 0x0024:
+                return unit.to_bus(abs(motor.frequency)) if unit else 0
+            case 0x0027:
+                return round(motor.current / CURRENT_UNIT)
+            case 0x0037:
+                return round(motor.power) & 0xFFFF
+        return 0
+
+    def _row(self) -> str:
+        """Which row of table 1.8 the LEDs show."""
+        if self._powered is None:
+            return "Power OFF"
+        if self._injected:
+            return "Drive Error" if self._injected == "F06" else "CPU Error"
+        if not self._ready:
+            return "CPU Init"
+        if self._exchange.state is SlaveState.DATA_EXCH:
+            return "Normal"
+        return "Com Error" if self._established else "No exchange"
+
+    # -- Parameter access ------------------------------------------------------------------------------------------
+
+    def _access(self, request: Access, words: int) -> Access:
+        """Carry out a request of the parameter channel; `words` is what the configuration's channel holds."""
+        code = self._refusal(request, words)
+        if code is not None:
+            return Access.error(request.function, code)
+        n = request.length // 2
+        addresses = range(request.address, request.address + n)
+        if request.function == Function.READ:
+            values = tuple(self.registers[a] for a in addresses)
+            return Access(request.function, request.address, request.length, values)
+        for address, value in zip(addresses, request.data, strict=False):
+            self.registers[address] = value
+        return Access(request.function, request.address, request.length)
+
+    def _refusal(self, request: Access, words: int) -> AccessCode | None:
+        """The error code of table 3.15 for a request that the drive will not carry out; writes are done whole or not at all.
+
+        "Parameter change during running" is taken for every n-parameter.
+        """
+        n = request.length // 2
+        if request.function not in (Function.READ, Function.WRITE):
+            return AccessCode.FUNCTION
+        if request.address > LAST_REGISTER:
+            return AccessCode.ADDRESS
+        if request.length % 2 or not 1 <= n <= words:
+            return AccessCode.AMOUNT
+        if request.address + n - 1 > LAST_REGISTER:
+            return AccessCode.ADDRESS
+        if request.function == Function.READ:
+            return None
+        addresses = range(request.address, request.address + n)
+        if self.undervoltage or self.storing or any(
+                a in _MONITORS or (a in _PARAMETERS and self.running) for a in addresses):
+            return AccessCode.WRITE
+        for address, value in zip(addresses, request.data, strict=False):
+            low, high = Registers.limits(address)
+            if not low <= value <= high:
+                return AccessCode.CONTENT
+        return None
+
+
+_KNOWN = (Command.RUN | Command.S3 | Command.S4 | Command.S5 | Command.S6 | Command.S7
+          | Command.EXTERNAL_FAULT | Command.FAULT_RESET)
+
+
+class _Channel:
+    """The card's half of the parameter channel: one request at a time, through the STATUS values of table 3.17.
+
+    A command is new when its HS differs from the response's. The card mirrors HS at receipt; the answer of the command
+    before stands until the new one is there. While it is busy the card looks at no further toggle.
+    """
+
+    def __init__(self, card: SIP1) -> None:
+        self._card = card
+        self.hs = 0
+        self.transfer = Transfer.IDLE
+        self.answer = Access(Function.NONE)
+        self.due = math.inf
+        """When the next transition is due; infinity while there is nothing to do."""
+        self._request = Access(Function.NONE)
+        self._words = 0
+
+    def see(self, octets: bytes, where: ChannelMap, now: float) -> None:
+        """Look at the master's half of the channel."""
+        hs = octets[where.handshake] & HS
+        if hs == self.hs or self.due != math.inf:
+            return
+        self.hs, self.transfer = hs, Transfer.IDLE
+        request = Access.decode(octets, where)
+        if request.function == Function.NONE:  # "if no parameter access is desired": nothing goes to the drive
+            self.answer = request
+            return
+        self._request, self._words = request, where.words
+        self.due = now + RECEIPT
+
+    def advance(self, now: float) -> None:
+        """The transition that is due at `now`."""
+        if self.transfer is Transfer.IDLE:
+            self.transfer, self.due = Transfer.SENT, now + SENDING
+        elif self.transfer is Transfer.SENT:
+            self.transfer, self.due = Transfer.WAITING, now + self._card._random.uniform(0.010, 0.015)
+        else:
+            self.answer = self._card._access(self._request, self._words)
+            self.transfer, self.due = Transfer.RECEIVED, math.inf
