@@ -91,6 +91,7 @@ def test_the_ring_is_a_bounded_queue(events: int, steps: list[bool]) -> None:
         assert ring.lost[0] == reported
 
 
+@pytest.mark.tree
 @pytest.mark.parametrize("sanitizer", SANITIZERS)
 @pytest.mark.parametrize("events", [2, 64])
 def test_two_threads_never_tear_an_event_and_lose_none_uncounted(tmp_path: Path, sanitizer: str, events: int) -> None:

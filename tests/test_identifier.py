@@ -3,11 +3,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dpmaster import identifier
 from dpmaster._core import ffi, lib
+from dpmaster.errors import ConfigurationError
+from dpmaster.identifier import Data, Identifier
 
 # Protocol page G.2, the table: octets, then per identifier (inputs, outputs, unit, consistent over the whole length).
 TABLE = [
@@ -30,10 +35,10 @@ TABLE = [
 
 
 def decode(octets: bytes) -> dict[str, int | bool]:
-    identifier = ffi.new("dpm_identifier *")
-    code = lib.dpm_identifier_decode(octets, len(octets), identifier)
-    assert code == identifier.octets
-    return {name: getattr(identifier, name) for name, _ in ffi.typeof("dpm_identifier").fields}
+    found = ffi.new("dpm_identifier *")
+    code = lib.dpm_identifier_decode(octets, len(octets), found)
+    assert code == found.octets
+    return {name: getattr(found, name) for name, _ in ffi.typeof("dpm_identifier").fields}
 
 
 def lengths(octets: bytes) -> tuple[int, int, int]:
@@ -91,8 +96,7 @@ def test_empty_slots_count() -> None:
 @pytest.mark.parametrize("text", ["40", "80", "C0", "C0 83", "41 83", "03 01 02", "C3 CF C7 01 02"])
 def test_an_identifier_that_is_cut_short_is_refused(text: str) -> None:
     octets = bytes.fromhex(text)
-    identifier = ffi.new("dpm_identifier *")
-    assert lib.dpm_identifier_decode(octets, len(octets), identifier) == lib.DPM_E_CONFIGURATION
+    assert lib.dpm_identifier_decode(octets, len(octets), ffi.new("dpm_identifier *")) == lib.DPM_E_CONFIGURATION
     assert lengths(b"\x10" + octets)[0] == lib.DPM_E_CONFIGURATION
 
 
@@ -115,3 +119,96 @@ def test_any_octets_are_walked_to_their_end_or_refused(octets: bytes) -> None:
         assert slots == lib.DPM_E_CONFIGURATION
     else:
         assert slots <= len(octets) and inputs <= 244 and outputs <= 244
+
+
+def test_decode_gives_slots_and_offsets() -> None:
+    """Protocol page G.2: an empty slot, PPO1 (F3 F1) and C0 83 41 behind each other."""
+    empty, pkw, pzd, last = identifier.decode(bytes.fromhex("00 F3 F1 C08341"))
+    assert empty == Identifier(slot=1, special=True)
+    assert pkw == Identifier(inputs=Data(8, 2, True, 0), outputs=Data(8, 2, True, 0), slot=2)
+    assert pzd == Identifier(inputs=Data(4, 2, True, 8), outputs=Data(4, 2, True, 8), slot=3)
+    assert last == Identifier(inputs=Data(4, 2, False, 12), outputs=Data(4, 1, True, 12), special=True, slot=4)
+
+
+@pytest.mark.parametrize("text", [*(row[0] for row in TABLE), "41 83 AA", "C3 CF C7 01 02 03", "C0 83 41", "4F 00", "0F"])
+def test_the_table_survives_decode_and_encode(text: str) -> None:
+    octets = bytes.fromhex(text)
+    assert identifier.encode(identifier.decode(octets)) == octets
+
+
+@pytest.mark.parametrize(("built", "text"), [
+    (Identifier(), "00"),
+    (Identifier(inputs=Data(1)), "10"),
+    (Identifier(outputs=Data(2)), "21"),
+    (Identifier(inputs=Data(6, 2), outputs=Data(6, 2)), "72"),
+    (Identifier(inputs=Data(32, 2, True), outputs=Data(32, 2, True)), "FF"),
+    (Identifier(inputs=Data(4, 1, True), specific=b"\xaa"), "41 83 AA"),
+    (Identifier(outputs=Data(4, 1, True), inputs=Data(4, 2)), "C0 83 41"),
+    (Identifier(outputs=Data(32, 2, True), inputs=Data(16, 2, True), specific=b"\1\2\3"), "C3 CF C7 01 02 03"),
+    (Identifier(inputs=Data(17)), "40 10"),
+])
+def test_identifiers_are_built_as_the_table_has_them(built: Identifier, text: str) -> None:
+    assert built.encode() == bytes.fromhex(text)
+
+
+PARTS = st.none() | st.builds(lambda units, unit, consistent: Data(units * unit, unit, consistent),
+                              st.integers(1, 20) | st.integers(1, 64), st.sampled_from([1, 2]), st.booleans())
+
+
+def bare(found: Identifier) -> Identifier:
+    """Without what depends on the place: the offsets and the slot, and the format."""
+    inputs = found.inputs and replace(found.inputs, offset=0)
+    outputs = found.outputs and replace(found.outputs, offset=0)
+    return replace(found, inputs=inputs, outputs=outputs, slot=0, special=False)
+
+
+@given(st.builds(Identifier, inputs=PARTS, outputs=PARTS, specific=st.binary(max_size=14), special=st.booleans()))
+def test_what_is_built_is_what_is_decoded(built: Identifier) -> None:
+    (found,) = identifier.decode(built.encode())
+    assert bare(found) == bare(built)
+
+
+@given(st.binary(max_size=40))
+def test_what_decodes_encodes_to_the_same_octets(octets: bytes) -> None:
+    try:
+        found = identifier.decode(octets)
+    except ConfigurationError:
+        assert lengths(octets)[0] < 0
+        return
+    assert identifier.encode(found) == octets
+    assert [one.slot for one in found] == list(range(1, len(found) + 1))
+    ends = [sum(part.octets for one in found if (part := getattr(one, name))) for name in ("inputs", "outputs")]
+    assert lengths(octets) == (len(found), *ends)
+    for name in ("inputs", "outputs"):
+        at = 0
+        for part in (getattr(one, name) for one in found):
+            if part:
+                assert part.offset == at
+                at += part.octets
+
+
+@pytest.mark.parametrize(("built", "words"), [
+    (Identifier(inputs=Data(0)), ["0 octets", "1 to 64"]),
+    (Identifier(inputs=Data(65)), ["65 octets", "1 to 64"]),
+    (Identifier(inputs=Data(3, 2)), ["3 octets", "units of 2"]),
+    (Identifier(inputs=Data(4, 4)), ["units of 4"]),
+    (Identifier(specific=bytes(15)), ["15 maker's octets", "at most 14"]),
+    (Identifier(specific=b"\1", unchecked=True), ["1 maker's octets", "none"]),
+])
+def test_what_no_identifier_can_say_is_refused(built: Identifier, words: list[str]) -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        built.encode()
+    for word in words:
+        assert word in str(caught.value)
+
+
+@pytest.mark.parametrize(("text", "words"), [
+    ("10 41 83", ["10 41 83", "41 at octet 1"]),
+    ("C0 FF FF C0 F9 F9 10", ["245 octets of inputs", "244"]),
+    ("C0 FF FF C0 F9 F9 20", ["245 octets of outputs", "244"]),
+])
+def test_a_bad_configuration_is_refused_by_its_octets(text: str, words: list[str]) -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        identifier.decode(bytes.fromhex(text))
+    for word in words:
+        assert word in str(caught.value)

@@ -243,6 +243,7 @@ def test_outputs_follow_a_model_that_remembers_everything(steps: list[tuple[Any,
                 assert outputs.sent(number) == (1 if was else 0 if made == epoch else DISCARDED)
 
 
+@pytest.mark.tree
 @pytest.mark.parametrize("sanitizer", SANITIZERS)
 def test_two_threads_never_see_half_a_frame_nor_a_stale_commit(tmp_path: Path, sanitizer: str) -> None:
     seed = random.randrange(1, 1 << 32)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from fractions import Fraction
 from math import ceil, floor
 from typing import Any
@@ -12,6 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dpmaster._core import ffi, lib
+from dpmaster.errors import ConfigurationError
+from dpmaster.parameters import BusParameters
 
 RATES = (9600, 19200, 31250, 45450, 93750, 187500, 500000, 1500000, 3000000, 6000000, 12000000)
 LOW = (100, 60, 0, 1, 37, 60, 1)
@@ -183,3 +186,69 @@ def test_tid1_is_never_below_min_tsdr() -> None:
     """Protocol page D.1: TID1 = max(TSYN+TSM, min TSDR, ...), TID2 = max(TSYN+TSM, max TSDR)."""
     assert lib.dpm_tid1(changed(min_tsdr=200)) == 200
     assert lib.dpm_tid2(changed(max_tsdr=36)) == 37
+
+
+@pytest.mark.parametrize("rate", RATES)
+def test_the_python_face_holds_the_same_set(rate: int) -> None:
+    ours = BusParameters.default(rate)
+    assert (ours.tsl, ours.max_tsdr, ours.tqui, ours.tset, ours.tid1, ours.tid2, ours.max_retry_limit) == TABLE[rate]
+    assert ours.tto(2) == 10 * ours.tsl
+    ours.check(1)
+    assert bytes(ffi.buffer(ours.to_c())) == bytes(ffi.buffer(default(rate)))
+
+
+def test_seconds_of_a_fractional_rate() -> None:
+    assert BusParameters.default(45450).rate == Fraction(500000, 11)
+    assert BusParameters.default(45450).seconds(100) == pytest.approx(2.2e-3)
+
+
+@pytest.mark.parametrize(("change", "address", "words"), [
+    ({"tsl": 300, "max_tsdr": 286}, 1, ["tsl = 300", "301 to 16383", "max Tsdr + 15", "BusParameters.default"]),
+    ({"tset": 0}, 1, ["tset = 0", "1 to 255", "standard set"]),
+    ({"tsl": 70000}, 1, ["tsl = 70000", "whole number"]),
+    ({"g": -1}, 1, ["g = -1", "whole number"]),
+    ({"ttr": 1.5}, 1, ["ttr = 1.5", "whole number"]),
+    ({"rate": Fraction(2**40)}, 1, ["rate = 1099511627776", "whole number"]),
+    ({"rate": Fraction(9000)}, 1, ["rate = 9000", "9600 to 12000000"]),
+    ({}, 126, ["address = 126", "0 to 125", "another address"]),
+    ({}, -1, ["address = -1", "0 to 125"]),
+    ({}, 1000, ["address = 1000", "0 to 125"]),
+    ({}, "5", ["address '5'", "0 to 125"]),
+    ({"hsa": 3}, 4, ["hsa = 3", "4 to 126", "raise hsa"]),
+])
+def test_a_refusal_names_parameter_value_rule_and_remedy(change: dict[str, Any], address: Any, words: list[str]) -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        replace(BusParameters.default(1500000), **change).check(address)
+    for word in words:
+        assert word in str(caught.value)
+
+
+@pytest.mark.parametrize(("baudrate", "max_tsdr", "words"), [
+    (115200, 0, ["115200", "9600, 19200, 31250"]),
+    (-1, 0, ["-1"]),
+    (2**32, 0, ["4294967296"]),
+    ("fast", 0, ["'fast'"]),
+    (500000, 2000, ["max_tsdr = 2000", "1023", "GSD"]),
+    (500000, 70000, ["max_tsdr 70000", "1023"]),
+    (500000, -5, ["max_tsdr -5"]),
+    (500000, "slow", ["max_tsdr 'slow'"]),
+])
+def test_a_set_that_does_not_exist_is_refused(baudrate: Any, max_tsdr: Any, words: list[str]) -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        BusParameters.default(baudrate, max_tsdr)
+    for word in words:
+        assert word in str(caught.value)
+
+
+def test_predicted_cycle() -> None:
+    """Protocol page D.3: T_cycle = sum(T_DX) + T_token + T_gap + T_GC, with "T_gap = 66 + TSL (nobody there)"."""
+    ours = BusParameters.default(500000)
+    rest = (33 + 37) + (143 + 100) + (66 + 200)
+    one = 11 * (9 + 6 + 9 + 6) + 100 + 37
+    assert ours.predict_exchange(6, 6) == one
+    assert ours.predict_failure(6) == 11 * 15 + 200
+    assert ours.predict_cycle([]) == pytest.approx(rest / 500000)
+    assert ours.predict_cycle([(6, 6)] * 3) == pytest.approx((rest + 3 * one) / 500000)
+    assert ours.predict_cycle([(6, 6)] * 3, allowance=1e-3) == pytest.approx((rest + 3 * one) / 500000 + 4e-3)
+    retried = (rest + one + 11 * 15 + 200) / 500000 + 3e-3
+    assert ours.predict_cycle(iter([(6, 6)]), 1e-3, retries=True) == pytest.approx(retried)
