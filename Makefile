@@ -16,7 +16,7 @@ PY      := $(VENV)/bin/python
 PIP     := $(PY) -m pip --quiet --disable-pip-version-check install
 SOURCES := $(shell find csrc include -name '*.[ch]') setup.py dpmaster/_build.py
 
-CORE     := $(filter-out csrc/stubs.c,$(wildcard csrc/*.c))
+CORE     := $(wildcard csrc/core/*.c)
 LINUX    := $(wildcard csrc/linux/*.c)
 PROGRAMS := $(wildcard tests/bench/*.c tests/fuzz/*.c)
 CSTRICT  := -std=c11 -O2 -Iinclude -Icsrc -Wall -Wextra -Wshadow -Wconversion -Werror

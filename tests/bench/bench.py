@@ -133,7 +133,7 @@ def operating(
 def cpu_time(master: Master) -> int:
     """ns that the bus thread has used."""
     info = ffi.new("dpm_bus_info *")
-    check(lib.dpm_bus_get_info(master._bus, info), "bus info")
+    check(lib.dpm_bus_get_info(master._bus._handle, info), "bus info")
     return int(info.cpu_time)
 
 
@@ -146,14 +146,14 @@ def master_block(rate: int, count: int, *, paced: bool) -> tuple[Block, Any]:
     with operating(rate, paced=paced) as (wire, master, stations):
         durations = ffi.new("int64_t[]", count)
         cpu, number, begin = cpu_time(master), exchanges(stations), time.monotonic_ns()
-        check(lib.dpm_bus_record(master._bus, durations, count), "recording")
+        check(lib.dpm_bus_record(master._bus._handle, durations, count), "recording")
         limit = time.monotonic() + 30.0
         while not durations[count - 1]:
             time.sleep(0.005)
             if time.monotonic() > limit:
                 sys.exit(f"bench: the station was lost: {stations[0].state}, {stations[0].reason}")
         cpu, number, elapsed = cpu_time(master) - cpu, exchanges(stations) - number, time.monotonic_ns() - begin
-        check(lib.dpm_bus_record(master._bus, ffi.NULL, 0), "recording")
+        check(lib.dpm_bus_record(master._bus._handle, ffi.NULL, 0), "recording")
         tid1 = Parameters(rate).tid1
         return Block([ns + tid1 for ns in durations], cpu / number, elapsed / number), wire.info
 
