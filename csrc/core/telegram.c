@@ -39,13 +39,13 @@ static int decode_side(const uint8_t *body, size_t have, size_t le, size_t other
 {
     uint8_t octet = EXTENDED;
 
-    for (int i = 0; octet & EXTENDED; i++) {
-        if (i == 2 || *at + 1 + others > le)
+    for (bool first = true; octet & EXTENDED; first = false) {
+        if (*at + 1 + others > le)
             return -DPM_REJECT_EXTENSION;
         if (*at >= have)
             return 0;
         octet = body[(*at)++];
-        if (octet & SEGMENT ? i > 0 : octet & EXTENDED)
+        if (octet & SEGMENT ? !first : octet & EXTENDED)
             return -DPM_REJECT_EXTENSION;
         *(octet & SEGMENT ? segment : sap) = octet & NUMBER;
     }
