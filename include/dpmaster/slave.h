@@ -3,6 +3,14 @@
  * DP slaves, the part of a DP ASIC: FDL responder with FCB and stored answer, the DP states, watchdog, diagnosis
  * flag, checks of ident and configuration, lock to one master, buffers that the application exchanges without tearing. One machine
  * carries any number of slaves on one wire. Protocol page F to I.
+ *
+ * One answer waits at a time, to the latest request on the wire: a good telegram that arrives first revokes it, noise
+ * does not. Ident and LSAP status requests are answered RS. Outputs are applied from the first Data_Exchange on, as an
+ * ASIC does, unless the master said Clear; a card that wants an Operate first looks at `operate_seen`.
+ *
+ * An outputs frame is published, and the machine's progress grows, only when octets, length or validity of the outputs
+ * changed, never for each exchange: exchanges and exchange_time in the report tell that the bus is alive. Progress
+ * grows also with state, master, configuration, clear, operate_seen and connection.
  */
 #ifndef DPMASTER_SLAVE_H
 #define DPMASTER_SLAVE_H
@@ -72,8 +80,9 @@ DPM_API int dpm_slaves_get(const dpm_slaves *slaves, int index, dpm_slave_state_
 /* Unplug (nothing is answered, state kept as a powered card keeps it: the watchdog runs), plug in, or power-cycle. */
 DPM_API int dpm_slaves_connect(dpm_slaves *slaves, int index, bool connected);
 DPM_API int dpm_slaves_reset(dpm_slaves *slaves, int index, int64_t now);
-/* The application's diagnosis behind the six standard octets, 0..max_diagnosis - 6 octets. `announce` raises the
- * diagnosis flag (DH) until the own master has fetched it; ext_diag and static_diag set the status bits. */
+/* The application's diagnosis behind the six standard octets; what exceeds max_diagnosis is cut off and reported as
+ * Ext_Diag_Overflow. `announce` raises the diagnosis flag (DH) until the own master has fetched it; ext_diag and
+ * static_diag set the status bits. */
 DPM_API int dpm_slaves_diagnosis(dpm_slaves *slaves, int index, const uint8_t *octets, uint8_t n, bool announce,
                                  bool ext_diag, bool static_diag);
 /* The application is ready to deliver data (true after init): while false, Station_Not_Ready stays set. */

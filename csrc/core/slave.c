@@ -1,0 +1,419 @@
+/* SPDX-License-Identifier: MIT
+ *
+ * The slaves' side of the wire: one receiver for all of them, the FDL responder of each with frame count bit and
+ * stored answer, the times between which an answer may leave, the watchdogs. What a request means is the business of
+ * slave_services.c.
+ *
+ * One answer waits at a time, to the latest request: any good telegram revokes it, since the bus has gone on. Noise
+ * does not (a hat that glitches when it turns round would never be answered), but while octets lie there that may
+ * become a telegram the answer is held back.
+ */
+#include "core/slave_services.h"
+
+#include <string.h>
+
+#include "dpmaster/error.h"
+#include "dpmaster/identifier.h"
+
+#define SLAVES_MAX 126
+
+struct dpm_slaves {
+    dpm_machine machine; /* first: a pointer to one is a pointer to the other */
+    dpm_parameters parameters;
+    int64_t answer_within; /* ns after a request: max Tsdr and what the host may be late */
+    uint16_t room;
+    uint16_t count;
+    uint8_t station[DPM_BROADCAST + 1]; /* by address: the slave's index plus 1, 0 none */
+    /* The answer that waits to leave. */
+    dpm_slave *answering; /* NULL: none */
+    const uint8_t *answer;
+    size_t answer_length;
+    int64_t not_before;
+    int64_t not_after;
+    uint8_t unnumbered[DPM_TELEGRAM_MAX]; /* answers outside the FCB's sequence: the stored ones stay */
+    int64_t deadline[SLAVES_MAX]; /* of the watchdogs, apart from the slaves: searched with every event */
+    dpm_receiver receiver;
+    dpm_slave slave[];
+};
+
+/* After anything that was done to a slave. */
+static void settle(dpm_slaves *slaves, dpm_slave *slave)
+{
+    slaves->deadline[slave - slaves->slave] = slave->watchdog_deadline;
+    if (slave->changed)
+        slaves->machine.progress++;
+    slave->changed = false;
+}
+
+/* ---- watchdogs ---- */
+
+/* "Octets that lie in a FIFO are never called missing": `time` is one up to which all octets have been seen. */
+static void expire(dpm_slaves *slaves, int64_t time)
+{
+    for (uint16_t i = 0; i < slaves->count; i++) {
+        if (slaves->deadline[i] < time) {
+            dpm_slave_expire(&slaves->slave[i]);
+            settle(slaves, &slaves->slave[i]);
+        }
+    }
+}
+
+static int64_t next_deadline(const dpm_slaves *slaves)
+{
+    int64_t next = DPM_NEVER;
+    for (uint16_t i = 0; i < slaves->count; i++)
+        if (slaves->deadline[i] < next)
+            next = slaves->deadline[i];
+    return next;
+}
+
+/* ---- answers ---- */
+
+static uint8_t encode(const dpm_telegram *request, const dpm_reply *reply, uint8_t *out)
+{
+    if (reply->short_ack) {
+        out[0] = DPM_SC;
+        return 1;
+    }
+    dpm_telegram answer = {
+        .da = request->sa, .sa = request->da, .fc = DPM_TYPE_SLAVE | reply->fc,
+        .dsap = DPM_NO_SAP, .ssap = DPM_NO_SAP, .dsegment = -1, .ssegment = -1,
+    };
+    if (reply->length > 0) { /* an answer without data is SD1 and has no SAPs */
+        answer.dsap = request->ssap;
+        answer.ssap = request->dsap;
+        answer.data = reply->data;
+        answer.length = reply->length;
+    }
+    int n = dpm_encode(&answer, out, DPM_TELEGRAM_MAX);
+    return n > 0 ? (uint8_t)n : 0;
+}
+
+static void offer_answer(dpm_slaves *slaves, dpm_slave *slave, const dpm_received *request, const uint8_t *octets, uint8_t n)
+{
+    slaves->answering = n > 0 ? slave : NULL;
+    slaves->answer = octets;
+    slaves->answer_length = n;
+    slaves->not_before = request->end_latest + dpm_bits_up(&slaves->parameters, slave->min_tsdr);
+    slaves->not_after = request->end_earliest + slaves->answer_within;
+}
+
+static void answer_unnumbered(dpm_slaves *slaves, dpm_slave *slave, const dpm_received *request, const dpm_reply *reply)
+{
+    uint8_t n = encode(&request->telegram, reply, slaves->unnumbered);
+    offer_answer(slaves, slave, request, slaves->unnumbered, n);
+}
+
+/* ---- requests ---- */
+
+/* "Retriggered by every correct request of the own master to this slave": SRD and SDA whatever their answer and their
+ * repetitions, but neither status requests nor Global_Control: those may go on when the master's DP is long dead. */
+static void retrigger(dpm_slave *slave, const dpm_received *request)
+{
+    if (slave->report.watchdog_on && slave->report.master == request->telegram.sa)
+        slave->watchdog_deadline = request->end_latest + slave->report.watchdog;
+}
+
+/* The responder's frame count bit, page C.2. */
+static void exchange(dpm_slaves *slaves, dpm_slave *slave, const dpm_received *request)
+{
+    const dpm_telegram *telegram = &request->telegram;
+    bool fcv = telegram->fc & DPM_FC_FCV, fcb = telegram->fc & DPM_FC_FCB;
+    retrigger(slave, request);
+
+    if (fcv && slave->fcb_master == telegram->sa && slave->fcb == fcb) { /* "resend the stored reply, do not execute again" */
+        slave->report.repetitions++;
+        offer_answer(slaves, slave, request, slave->answer, slave->answer_length);
+        return;
+    }
+    dpm_reply reply = dpm_slave_serve(slave, request);
+    if (!fcv && !fcb) { /* "no FCB evaluation" */
+        answer_unnumbered(slaves, slave, request, &reply);
+        return;
+    }
+    slave->fcb_master = telegram->sa;
+    slave->fcb = fcb;
+    slave->answer_length = encode(telegram, &reply, slave->answer);
+    offer_answer(slaves, slave, request, slave->answer, slave->answer_length);
+}
+
+static bool is_control(const dpm_telegram *telegram)
+{
+    uint8_t function = telegram->fc & 0x0F;
+    return (function == DPM_SDN_LOW || function == DPM_SDN_HIGH) && telegram->dsap == DPM_SAP_GLOBAL_CONTROL &&
+           telegram->ssap == DPM_SAP_MASTER;
+}
+
+static void request_for(dpm_slaves *slaves, dpm_slave *slave, const dpm_received *request)
+{
+    static const dpm_reply status = {.fc = DPM_RES_OK}, refused = {.fc = DPM_RES_RS};
+    switch (request->telegram.fc & 0x0F) {
+    case DPM_SDA_LOW:
+    case DPM_SDA_HIGH:
+    case DPM_SRD_LOW:
+    case DPM_SRD_HIGH:
+        exchange(slaves, slave, request);
+        break;
+    case DPM_FDL_STATUS:
+        answer_unnumbered(slaves, slave, request, &status);
+        break;
+    case DPM_IDENT: /* services of FDL management that a DP slave need not have */
+    case DPM_LSAP_STATUS:
+        answer_unnumbered(slaves, slave, request, &refused);
+        break;
+    case DPM_SDN_LOW:
+    case DPM_SDN_HIGH:
+        if (is_control(&request->telegram))
+            dpm_slave_control(slave, request);
+        break;
+    default: /* time events and reserved codes: silence */
+        return;
+    }
+    slave->report.requests++;
+    settle(slaves, slave);
+}
+
+static void broadcast(dpm_slaves *slaves, const dpm_received *request)
+{
+    if (!is_control(&request->telegram)) /* "127: broadcast, SDN only" */
+        return;
+    for (uint16_t i = 0; i < slaves->count; i++) {
+        if (!slaves->slave[i].connected)
+            continue;
+        dpm_slave_control(&slaves->slave[i], request);
+        settle(slaves, &slaves->slave[i]);
+    }
+}
+
+static void deliver(dpm_slaves *slaves, const dpm_received *received)
+{
+    const dpm_telegram *telegram = &received->telegram;
+    slaves->answering = NULL;
+    expire(slaves, received->end_earliest);
+    if (telegram->format == DPM_SC || telegram->format == DPM_SD4)
+        return;
+    /* Bit 7 is for clock values only; SA 126 and segments are no requester of ours (page B.3 rules 4 and 5). */
+    if ((telegram->fc & 0xC0) != DPM_FC_REQUEST || telegram->sa > DPM_ADDRESS_MAX || telegram->dsegment >= 0 ||
+        telegram->ssegment >= 0)
+        return;
+    if (telegram->da == DPM_BROADCAST) {
+        broadcast(slaves, received);
+    } else if (slaves->station[telegram->da] != 0) {
+        dpm_slave *slave = &slaves->slave[slaves->station[telegram->da] - 1];
+        if (slave->connected)
+            request_for(slaves, slave, received);
+    }
+}
+
+/* ---- the event contract ---- */
+
+static void on_octets(dpm_machine *machine, const dpm_span *span)
+{
+    dpm_slaves *slaves = (dpm_slaves *)machine;
+    if (span->echo || span->n == 0)
+        return;
+    int64_t last = span->earliest + (int64_t)(span->n - 1) * span->spacing;
+    dpm_span rest = *span;
+    dpm_received received;
+    while (dpm_receiver_take(&slaves->receiver, &rest, &received))
+        deliver(slaves, &received);
+    expire(slaves, last);
+}
+
+static void on_quiet(dpm_machine *machine, int64_t until)
+{
+    dpm_slaves *slaves = (dpm_slaves *)machine;
+    dpm_received received;
+    while (dpm_receiver_quiet(&slaves->receiver, until, &received))
+        deliver(slaves, &received);
+    expire(slaves, until + 1); /* a request that ended at the deadline itself would have been seen */
+}
+
+static void on_sent(dpm_machine *machine, int64_t start, int64_t end_earliest, int64_t end_latest, int result)
+{
+    dpm_slaves *slaves = (dpm_slaves *)machine;
+    (void)start, (void)end_earliest, (void)end_latest;
+    if (slaves->answering && result == DPM_SENT_WHOLE)
+        slaves->answering->report.answers++;
+    slaves->answering = NULL;
+}
+
+static void on_ask(dpm_machine *machine, int64_t now, dpm_offer *offer)
+{
+    dpm_slaves *slaves = (dpm_slaves *)machine;
+    int64_t unfinished = dpm_receiver_deadline(&slaves->receiver), deadline = next_deadline(slaves);
+    *offer = (dpm_offer){.wake = unfinished < deadline ? unfinished : deadline};
+    if (slaves->answering && now > slaves->not_after) {
+        slaves->answering->report.late_dropped++;
+        slaves->answering = NULL;
+    }
+    if (!slaves->answering || unfinished != DPM_NEVER)
+        return;
+    offer->octets = slaves->answer;
+    offer->n = slaves->answer_length;
+    offer->not_before = slaves->not_before;
+    offer->not_after = slaves->not_after;
+}
+
+/* ---- the public face ---- */
+
+size_t dpm_slaves_size(uint16_t slaves)
+{
+    return sizeof(dpm_slaves) + slaves * sizeof(dpm_slave);
+}
+
+int dpm_slaves_init(void *block, size_t size, const dpm_parameters *parameters, const dpm_port_traits *traits,
+                    uint16_t slaves, dpm_slaves **out)
+{
+    dpm_refusal refusal;
+    if (!parameters || !traits || !out || slaves < 1 || slaves > SLAVES_MAX || traits->allowance < 0 || traits->granularity < 0)
+        return DPM_E_ARGUMENT;
+    if (!block || (uintptr_t)block % 16 != 0 || size < dpm_slaves_size(slaves))
+        return DPM_E_BLOCK;
+    if (dpm_parameters_check(parameters, 0, &refusal) != DPM_OK)
+        return DPM_E_PARAMETER;
+    dpm_slaves *self = block;
+    memset(self, 0, dpm_slaves_size(slaves));
+    self->machine = (dpm_machine){.octets = on_octets, .quiet = on_quiet, .sent = on_sent, .ask = on_ask};
+    self->parameters = *parameters;
+    self->answer_within = dpm_bits_down(parameters, parameters->max_tsdr) + traits->allowance;
+    self->room = slaves;
+    /* "A receiver can treat 33 Tbit idle as a definite frame end"; what the port cannot tell is never held against it. */
+    dpm_receiver_init(&self->receiver, dpm_bits_up(parameters, DPM_CHARACTER_BITS), traits->granularity,
+                      dpm_bits_up(parameters, DPM_TSYN) + traits->granularity);
+    *out = self;
+    return DPM_OK;
+}
+
+dpm_machine *dpm_slaves_machine(dpm_slaves *slaves)
+{
+    return &slaves->machine;
+}
+
+static int check_config(const dpm_slaves *slaves, const dpm_slave_config *config)
+{
+    if (config->address >= DPM_BROADCAST)
+        return DPM_E_ADDRESS;
+    if (slaves->station[config->address] != 0)
+        return DPM_E_DUPLICATE;
+    if (config->configurations < 1 || config->configurations > DPM_SLAVE_CONFIGURATIONS)
+        return DPM_E_CONFIGURATION;
+    if (config->user_parameters_min > config->user_parameters_max || config->user_parameters_max > 237 ||
+        config->max_diagnosis < 6 || config->max_diagnosis > DPM_IO_MAX || config->min_tsdr < 11 ||
+        config->min_tsdr > 255 || config->min_tsdr >= slaves->parameters.max_tsdr)
+        return DPM_E_ARGUMENT;
+    return DPM_OK;
+}
+
+static int take_configurations(dpm_slave *slave)
+{
+    const dpm_slave_config *config = &slave->config;
+    for (unsigned i = 0; i < config->configurations; i++) {
+        uint16_t inputs, outputs;
+        uint8_t n = config->configuration_length[i];
+        if (n < 1 || n > DPM_IO_MAX || dpm_configuration_lengths(config->configuration[i], n, &inputs, &outputs) < 0)
+            return DPM_E_CONFIGURATION;
+        slave->configuration_inputs[i] = (uint8_t)inputs;
+        slave->configuration_outputs[i] = (uint8_t)outputs;
+    }
+    return DPM_OK;
+}
+
+int dpm_slaves_add(dpm_slaves *slaves, const dpm_slave_config *config, dpm_image *outputs, dpm_image *inputs)
+{
+    if (!config || !outputs || !inputs)
+        return DPM_E_ARGUMENT;
+    int bad = check_config(slaves, config);
+    if (bad)
+        return bad;
+    if (slaves->count == slaves->room)
+        return DPM_E_FULL;
+    dpm_slave *slave = &slaves->slave[slaves->count];
+    memset(slave, 0, sizeof *slave);
+    slave->config = *config;
+    bad = take_configurations(slave);
+    if (bad)
+        return bad;
+    slave->outputs = outputs;
+    slave->inputs = inputs;
+    slave->max_tsdr = slaves->parameters.max_tsdr;
+    slave->connected = slave->ready = true;
+    slave->report.address = config->address;
+    dpm_slave_power_on(slave, 0);
+    slaves->station[config->address] = (uint8_t)++slaves->count;
+    settle(slaves, slave);
+    return slaves->count - 1;
+}
+
+static dpm_slave *find(dpm_slaves *slaves, int index)
+{
+    return index >= 0 && index < slaves->count ? &slaves->slave[index] : NULL;
+}
+
+int dpm_slaves_get(const dpm_slaves *slaves, int index, dpm_slave_state_report *report)
+{
+    if (index < 0 || index >= slaves->count || !report)
+        return DPM_E_ARGUMENT;
+    *report = slaves->slave[index].report;
+    if (!slaves->slave[index].connected)
+        report->state = DPM_SL_OFF;
+    return DPM_OK;
+}
+
+int dpm_slaves_connect(dpm_slaves *slaves, int index, bool connected)
+{
+    dpm_slave *slave = find(slaves, index);
+    if (!slave)
+        return DPM_E_ARGUMENT;
+    if (slaves->answering == slave)
+        slaves->answering = NULL;
+    slave->changed = slave->connected != connected;
+    slave->connected = connected;
+    settle(slaves, slave);
+    return DPM_OK;
+}
+
+int dpm_slaves_reset(dpm_slaves *slaves, int index, int64_t now)
+{
+    dpm_slave *slave = find(slaves, index);
+    if (!slave)
+        return DPM_E_ARGUMENT;
+    if (slaves->answering == slave)
+        slaves->answering = NULL;
+    dpm_slave_power_on(slave, now);
+    settle(slaves, slave);
+    return DPM_OK;
+}
+
+int dpm_slaves_diagnosis(dpm_slaves *slaves, int index, const uint8_t *octets, uint8_t n, bool announce, bool ext_diag,
+                         bool static_diag)
+{
+    dpm_slave *slave = find(slaves, index);
+    if (!slave || (n > 0 && !octets))
+        return DPM_E_ARGUMENT;
+    uint8_t room = (uint8_t)(slave->config.max_diagnosis - 6);
+    slave->diagnosis_overflow = n > room;
+    slave->diagnosis_length = n > room ? room : n;
+    if (n > 0)
+        memcpy(slave->diagnosis, octets, slave->diagnosis_length);
+    slave->ext_diag = ext_diag;
+    slave->static_diag = static_diag;
+    slave->announced = slave->announced || announce;
+    return DPM_OK;
+}
+
+int dpm_slaves_ready(dpm_slaves *slaves, int index, bool ready)
+{
+    dpm_slave *slave = find(slaves, index);
+    if (!slave)
+        return DPM_E_ARGUMENT;
+    /* In Data_Exchange the master learns of it through the diagnosis flag only. */
+    slave->announced = slave->announced || (slave->ready && !ready && slave->report.state == DPM_SL_DATA_EXCH);
+    slave->ready = ready;
+    return DPM_OK;
+}
+
+const uint32_t *dpm_slaves_rejected(const dpm_slaves *slaves)
+{
+    return slaves->receiver.rejected;
+}
