@@ -4,6 +4,7 @@
 This file only names what a program uses; ``dpmaster.drives`` holds a class per drive, ``dpmaster.emulator`` the bench.
 """
 
+from dpmaster.diagnosis import Diagnosis
 from dpmaster.errors import (
     ClosedError,
     CommissioningError,
@@ -16,19 +17,37 @@ from dpmaster.errors import (
     PortError,
     StationError,
 )
+from dpmaster.events import Event, EventKind, Events
+from dpmaster.master import Answer, Master, MasterStatistics, Mode, Service
+from dpmaster.parameters import BusParameters
+from dpmaster.station import Frame, Station, StationState, StationStatistics
 
 __version__ = "0.1.0"
 
 __all__ = [
+    "Answer",
+    "BusParameters",
     "ClosedError",
     "CommissioningError",
     "ConfigurationError",
     "DPError",
     "DPTimeout",
+    "Diagnosis",
+    "Event",
+    "EventKind",
+    "Events",
+    "Frame",
+    "Master",
+    "MasterStatistics",
+    "Mode",
     "NotOperatingError",
     "OutputsDiscarded",
     "ParameterAccessError",
     "PortError",
+    "Service",
+    "Station",
     "StationError",
+    "StationState",
+    "StationStatistics",
     "__version__",
 ]

@@ -9,6 +9,7 @@ still there.
 from __future__ import annotations
 
 import threading
+import time
 import weakref
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -221,10 +222,19 @@ class Bus:
 
     def request(self, raw: Any, timeout: float | None) -> bool:
         """Carry out one ``dpm_raw``: True when it is done, False when `timeout` passed and it was taken back."""
-        self.guard()
-        self._call(lib.dpm_bus_request(self._handle, raw), "request", address=raw.da)
+        deadline = None if timeout is None else time.monotonic() + timeout
+
+        def place() -> int | None:
+            code = int(lib.dpm_bus_request(self._handle, raw))
+            return None if code == lib.DPM_E_BUSY else code  # another thread's, or one taken back that is still out
+
+        code = self.wait(place, timeout)
+        if code is None:
+            return False
+        self._call(code, "request", address=raw.da)
         try:
-            return self.wait(lambda: raw.done or None, timeout) is not None
+            left = None if deadline is None else max(0.0, deadline - time.monotonic())
+            return self.wait(lambda: raw.done or None, left) is not None
         finally:
             if not raw.done:  # its memory is ours again only after this
                 lib.dpm_bus_cancel(self._handle, raw)
@@ -263,7 +273,7 @@ class Bus:
     def _subscribe(self, events: Events) -> None:
         code = lib.dpm_bus_subscribe(self._handle, events.ring, events.fileno())
         if code == lib.DPM_E_FULL:
-            raise ConfigurationError("a master has room for 8 subscribers of events: close() those you no longer read",
+            raise ConfigurationError("a master has room for 8 subscribers of events, its log among them: close() some",
                                      dpm_code=code)
         self._call(code, "subscribe to events")
 

@@ -11,6 +11,7 @@ import os
 import select
 import threading
 import time
+import weakref
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntEnum
@@ -86,7 +87,8 @@ class Events:
     def __init__(self, bus: Bus, size: int) -> None:
         if not 2 <= size <= 65536 or size & (size - 1):
             raise ConfigurationError(f"room for {size} events: a power of two from 2 to 65536")
-        self._bus = bus
+        self._process = bus.process
+        self._bus = weakref.ref(bus)  # the bus keeps us; a bus that nobody else keeps shall go
         self._memory = _core.block(lib.dpm_ring_size(size))
         self.ring = lib.dpm_ring_init(self._memory, len(self._memory), size)
         self._lock = threading.Lock()  # the ring has one taker at a time
@@ -116,7 +118,7 @@ class Events:
         return self._ended
 
     def _guard(self) -> None:
-        self._bus.process.guard("the subscription of events")
+        self._process.guard("the subscription of events")
         if self._ended:
             raise ClosedError("the subscription of events was closed, by itself or with its master")
 
@@ -189,13 +191,15 @@ class Events:
 
     def close(self) -> None:
         """End the subscription. Idempotent."""
-        self._bus.process.guard("the subscription of events")
-        self._bus.unsubscribe(self)
+        self._process.guard("the subscription of events")
+        bus = self._bus()
+        if bus is not None:
+            bus.unsubscribe(self)
         self.end()
 
     def __enter__(self) -> Events:
         return self
 
     def __exit__(self, *exc: object) -> None:
-        if self._bus.process.here:
+        if self._process.here:
             self.close()

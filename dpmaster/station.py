@@ -22,7 +22,7 @@ from dpmaster.errors import ConfigurationError, DPTimeout, NotOperatingError, Ou
 if TYPE_CHECKING:
     from dpmaster.master import Master
 
-__all__ = ["Frame", "Station", "StationStatistics"]
+__all__ = ["Frame", "Station", "StationState", "StationStatistics"]
 
 Watchdog = float | Literal["default"] | None
 
@@ -288,7 +288,7 @@ class Station:
         Raises OutputsDiscarded, with the reason, when no telegram will ever carry it; DPTimeout after `timeout` s; ClosedError.
         """
         master = self._owner()
-        result = master._bus.wait(lambda: lib.dpm_outputs_was_sent(self._outputs, number) or None, timeout)
+        result: int | None = master._bus.wait(lambda: lib.dpm_outputs_was_sent(self._outputs, number) or None, timeout)
         if result is None:
             raise DPTimeout(f"{self.name}: commit {number} was not answered in {timeout} s; {self._standing(master)}")
         if result == lib.DPM_E_DISCARDED:

@@ -8,12 +8,9 @@ import pickle
 import signal
 import threading
 import time
-import tomllib
-from pathlib import Path
 
 import pytest
 
-import dpmaster
 from dpmaster import _core, errors
 from dpmaster._core import ffi, lib
 
@@ -137,11 +134,6 @@ def test_ctrl_c_leaves_a_wait_without_end() -> None:
     with pytest.raises(KeyboardInterrupt):
         _core.wait_slices(counter.wait, lambda: 0, lambda: None, None)
     timer.join()
-
-
-def test_the_version_is_the_projects() -> None:
-    project = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())
-    assert dpmaster.__version__ == project["project"]["version"]
 
 
 def test_an_object_knows_its_process() -> None:

@@ -1,0 +1,564 @@
+# SPDX-License-Identifier: MIT
+"""The DP master class 1 as a program sees it: stations, modes, both watchdogs, requests by hand, a safe end.
+
+It decides in which order things happen; how a call reaches the bus thread is `bus`'s, what a station is is `station`'s.
+Nothing here is timed by Python: the C thread keeps the bus, and takes the outputs away when the program hangs.
+"""
+
+from __future__ import annotations
+
+import atexit
+import logging
+import threading
+import time
+import weakref
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, TypeVar
+
+from dpmaster._core import NS, ffi, lib
+from dpmaster.bus import Bus, FdlState, Feed, Mode, PortStatistics
+from dpmaster.diagnosis import Reason, StationState, why
+from dpmaster.errors import ConfigurationError, DPError, DPTimeout, NotOperatingError, StationError
+from dpmaster.events import Event, EventKind, Events
+from dpmaster.parameters import BusParameters
+from dpmaster.station import Station
+
+__all__ = ["Answer", "Master", "MasterStatistics", "Mode", "Service"]
+
+S = TypeVar("S", bound=Station)
+
+log = logging.getLogger(__name__)
+
+CONTROL_INTERVAL = 1 / 3  # s between repetitions of Global_Control: a third of a Data_Control_Time of 1 s
+WATCHDOG_CYCLES = 10  # "ten predicted cycles with retries, at least 100 ms, at most 1 s"
+WATCHDOG_MIN, WATCHDOG_MAX = 0.1, 1.0
+REST_TIME = 1.0  # s for the stop words of all drives together, once no more are begun
+LEAVE_TIME = 1.0  # s for Clear, unlock and the last telegram
+
+
+class Service(IntEnum):
+    """FDL services a program may ask for by hand; SRD and SDN are those of high priority, as DP uses them."""
+
+    SDA_LOW = 0x03
+    SDN_LOW = 0x04
+    SDA = 0x05
+    SDN = 0x06
+    FDL_STATUS = 0x09
+    SRD_LOW = 0x0C
+    SRD = 0x0D
+    IDENT = 0x0E
+    LSAP_STATUS = 0x0F
+
+
+_RESULTS = {
+    0x0: "OK", 0x1: "UE: user error", 0x2: "RR: no resources", 0x3: "RS: service not activated", 0x8: "DL: data",
+    0x9: "NR: no data", 0xA: "DH: data, and diagnosis is waiting", 0xC: "RDL: data, but the request's were not taken",
+    0xD: "RDH: data of high priority, but the request's were not taken",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What came back for a request by hand.
+
+    ``fc`` is the answer's frame control, None for a short acknowledge and for SDN, which has no answer. ``tsdr`` is the time
+    from the request's end to the answer's first bit in s, None where the port cannot tell. ``tries`` counts telegrams sent,
+    0 for SDN.
+    """
+
+    fc: int | None
+    data: bytes
+    tsdr: float | None
+    tries: int
+
+    @property
+    def ok(self) -> bool:
+        """The service was carried out."""
+        return self.fc is None or self.fc & 0x0F in (0x0, 0x8, 0x9, 0xA)
+
+    @property
+    def meaning(self) -> str:
+        """The result in words: "RS: service not activated"."""
+        if self.fc is None:
+            return "acknowledged" if self.tries else "sent"
+        return _RESULTS.get(self.fc & 0x0F, f"FC {self.fc:02X}h")
+
+
+@dataclass(frozen=True, slots=True)
+class MasterStatistics:
+    """Counters since the master began, times in s. ``rejected``: octets and telegrams thrown away, by reason."""
+
+    cycle: int
+    cycle_last: float
+    cycle_max: float
+    fdl_state: FdlState
+    foreign: int | None  # address of the foreign master heard last
+    requests: int
+    answers: int
+    repetitions: int
+    unanswered: int
+    sdn: int
+    tokens: int
+    late_dropped: int
+    stray: int
+    foreign_telegrams: int
+    send_failed: int
+    tokens_lost: int
+    rejected: Mapping[str, int]
+    port: PortStatistics
+
+
+_live: weakref.WeakSet[Master] = weakref.WeakSet()
+
+
+@atexit.register
+def _close_all() -> None:
+    """Stop words, Clear and unlock while there is an interpreter to say them."""
+    for master in list(_live):
+        if master._bus.process.here:
+            try:
+                master.close()
+            except Exception:
+                log.exception("closing the master on %s at exit", master._bus.path)
+
+
+class Master:
+    """A DP master on a port, which is opened at once; the bus is silent until the first operate(), clear(), stop(), request().
+
+    port: path of a serial port or pty, or a `Segment`'s port. baudrate: a nominal rate in bit/s. address: 0..125, its own.
+
+    parameters: bus parameters, rate included, instead of the standard set. cycle_time: s from one cycle's start to the next
+    one's; None: as fast as the bus allows. output_watchdog: s without a commit, feed() or wait in the thread of the last
+    commit after which all outputs go safe; None: off, which is logged. echo: the port hears itself, None: found out.
+    profile: "uart", "usb", "pty", None: by the path. allowance: s that the host may wake late, None: the profile's.
+    max_stations: 1..126.
+
+    Use it with ``with``, or call close(). Raises PortError with path, reason and remedy, ConfigurationError.
+    All methods may be called from any thread. After close(), and in a forked child, every call raises ClosedError.
+    """
+
+    def __init__(self, port: str, baudrate: int = 500_000, address: int = 1, *, parameters: BusParameters | None = None,
+                 cycle_time: float | None = None, output_watchdog: float | None = 1.0, echo: bool | None = None,
+                 profile: str | None = None, allowance: float | None = None, max_stations: int = 126) -> None:
+        if not 0 <= address <= lib.DPM_ADDRESS_MAX:
+            raise ConfigurationError(f"the master's address {address}: 0 to {lib.DPM_ADDRESS_MAX}")
+        if not 1 <= max_stations <= 126:
+            raise ConfigurationError(f"max_stations {max_stations}: 1 to 126")
+        for name, value, limit in (("cycle_time", cycle_time, 10.0), ("output_watchdog", output_watchdog, 3600.0)):
+            if value is not None and not 0 < value <= limit:
+                raise ConfigurationError(f"{name} {value} s: above 0 and up to {limit:g} s, or None")
+        self.address = address
+        self.cycle_time = cycle_time
+        self.output_watchdog = output_watchdog
+        self._room = max_stations
+        self._given = parameters
+        self._baudrate = baudrate
+        self._parameters = self._choose(0)
+        self._parameters.check(address)
+        self._stations: dict[int, Station] = {}
+        self._lock = threading.RLock()  # of the list of stations and the start
+        self._closing = threading.RLock()
+        self._logger: threading.Thread | None = None
+        rate = self._parameters.rate
+        self._bus = Bus(port, (rate.numerator, rate.denominator), echo=echo, profile=profile, allowance=allowance)
+        _live.add(self)
+
+    def __repr__(self) -> str:
+        return f"<Master {self.address} on {self._bus.path}{', closed' if self.closed else ''}>"
+
+    # ---- stations
+
+    @property
+    def stations(self) -> tuple[Station, ...]:
+        with self._lock:
+            return tuple(self._stations.values())
+
+    @property
+    def parameters(self) -> BusParameters:
+        """The bus parameters: final once the bus has begun, before then those of the stations added so far."""
+        return self._parameters
+
+    def add(self, station: S) -> S:
+        """Add a station, before or while the bus runs; returns it. Raises ConfigurationError when it cannot be here."""
+        self._bus.guard()
+        with self._lock:
+            self._check_room(station)
+            parameters = self._fitting(station)
+            station._attach(self)
+            self._stations[station.address] = station
+            self._parameters = parameters
+            if self._bus.master is not None:
+                try:
+                    self._settle_watchdogs()
+                    self._enter(station)
+                except BaseException:
+                    del self._stations[station.address]
+                    station._master = None
+                    raise
+        return station
+
+    def _check_room(self, station: Station) -> None:
+        if station._master is not None:
+            raise ConfigurationError(f"{station.name} belongs to a master already")
+        if station.address == self.address:
+            raise ConfigurationError(f"{station.name} has address {station.address}, which is the master's own")
+        other = self._stations.get(station.address)
+        if other is not None:
+            raise ConfigurationError(f"address {station.address} has a station already, {other.name}: give this one another")
+        if len(self._stations) >= self._room:
+            raise ConfigurationError(f"{self._room} stations are there already: open the master with a larger max_stations")
+
+    def _choose(self, max_tsdr: int) -> BusParameters:
+        return self._given if self._given is not None else BusParameters.default(self._baudrate, max_tsdr)
+
+    def _fitting(self, station: Station) -> BusParameters:
+        """Parameters with Tsl for this station too: "Tsl = max(table, largest MaxTsdr on the bus + 15)"."""
+        rate = self._parameters.rate  # 45450, 45454 and 500000/11 are one rate
+        slowest = max((bits for nominal, bits in station.max_tsdr.items() if abs(nominal / rate - 1) < 0.01), default=0)
+        if slowest + 15 <= self._parameters.tsl:
+            return self._parameters
+        if self._given is not None or self._bus.master is not None:
+            began = "given:" if self._given is not None else "of a bus that has begun: add it before that, or"
+            raise ConfigurationError(
+                f"{station.name} needs Tsl {slowest + 15} (its MaxTsdr {slowest} + 15), and Tsl is {self._parameters.tsl} in "
+                f"the parameters {began} pass parameters= with a larger Tsl")
+        return self._choose(slowest)
+
+    # ---- the start
+
+    def _start(self) -> None:
+        """Begin on the bus with the stations added so far; their MaxTsdr has settled Tsl."""
+        with self._lock:
+            self._bus.guard()
+            if self._bus.master is not None:
+                return
+            config = ffi.new("dpm_master_config *")
+            config.station.parameters = self._parameters.to_c()[0]
+            config.station.address = self.address
+            config.slaves = self._room
+            config.cycle_time = round((self.cycle_time or 0) * NS)
+            config.output_watchdog = round((self.output_watchdog or 0) * NS)
+            config.control_interval = round(CONTROL_INTERVAL * NS)
+            self._listen()
+            self._bus.start(config, self._room)
+            for station in self._stations.values():
+                self._enter(station)
+
+    def _enter(self, station: Station) -> None:
+        station._index = self._bus.add(station._settings(), station._outputs, station._image)
+
+    def _listen(self) -> None:
+        """Log what happens from a thread of its own, which keeps neither the master nor the interpreter alive."""
+        self._logger = threading.Thread(target=_log_events, args=(weakref.ref(self), Events(self._bus, 256)),
+                                        name="dpmaster-log", daemon=True)
+        self._logger.start()
+
+    # ---- watchdogs
+
+    def _predicted_cycle(self) -> float:
+        """s of a whole cycle in which one station is repeated to the limit."""
+        parameters, allowance = self._parameters, self._bus.allowance
+        active = [station for station in self.stations if station.active]
+        seconds = parameters.predict_cycle([(s.output_length, s.input_length) for s in active], allowance)
+        failure = parameters.predict_failure(max((s.output_length for s in active), default=0))
+        seconds += parameters.max_retry_limit * (parameters.seconds(failure) + allowance)
+        pause = max((s.min_slave_interval * 1e-4 for s in active), default=0.0)
+        return max(seconds, pause, self.cycle_time or 0.0)
+
+    def _default_watchdog(self) -> float:
+        seconds = WATCHDOG_CYCLES * self._predicted_cycle()
+        if seconds > WATCHDOG_MAX:
+            raise ConfigurationError(f"ten predicted cycles take {seconds:.2f} s, more than the {WATCHDOG_MAX:g} s of the "
+                                     f"default watchdog: give each station its own, watchdog={seconds:.1f} or more")
+        return max(seconds, WATCHDOG_MIN)
+
+    def _settle_watchdogs(self) -> None:
+        """Ten cycles of the stations there are now; what changed goes out with a station's next Set_Prm."""
+        with self._lock:
+            for station in self._stations.values():
+                if station._watch(self._default_watchdog) and station._index is not None:
+                    self._bus.change(station._index, station._settings())
+
+    def feed(self) -> None:
+        """Tell the output watchdog that the program lives and stands by its last commit. Raises ClosedError."""
+        self._bus.guard()
+        self._bus.feed(Feed.PROGRAM)
+
+    def _latch_text(self) -> str:
+        fed = Feed(self._status().fed_by).text
+        return (f"the output watchdog ran out: nothing fed it for {self.output_watchdog} s, last was {fed}. All outputs are "
+                "safe and stay so until operate(); commit, wait in the committing thread, or feed() more often, or give "
+                "the Master another output_watchdog")
+
+    # ---- modes
+
+    def _status(self) -> Any:
+        return self._bus.status()
+
+    @property
+    def mode(self) -> Mode:
+        self._bus.guard()
+        return Mode.OFFLINE if self._bus.master is None else Mode(self._status().mode)
+
+    def operate(self, timeout: float | None = 5.0, partial: bool = False) -> None:
+        """Bring every active station into Data_Exchange, then Operate: from now on commits reach the stations.
+
+        timeout: s for all stations together. When some are missing then, StationError (one refuses) or DPTimeout says which and
+        why, and the mode stays Clear, with the others exchanging; with `partial` it goes on with those that are there. It also
+        ends a latch of the output watchdog. Raises PortError when the port vanished, ConfigurationError, ClosedError.
+        """
+        self._start()
+        self._warn()
+        self._settle_watchdogs()
+        if self.mode != Mode.OPERATE:
+            self._bus.set_mode(Mode.CLEAR)
+        missing = self._await_stations(timeout)
+        if missing and not partial:
+            raise self._missing_error(missing, timeout)
+        if self.mode != Mode.OPERATE:  # again while it operates would take the watchdog's last feed for a new start
+            self._bus.set_mode(Mode.OPERATE)
+            self._bus.fed_thread = threading.get_ident()
+        self._await_mode(Mode.OPERATE, LEAVE_TIME)
+
+    def clear(self, timeout: float = LEAVE_TIME) -> None:
+        """Clear: stations exchange, with safe outputs. Out of Operate every drive says its stop word first."""
+        self._start()
+        self._settle_watchdogs()
+        self._leave(Mode.CLEAR, timeout)
+
+    def stop(self, timeout: float = LEAVE_TIME) -> None:
+        """Stop: stations are released, only the token runs; requests by hand work. Leaves Operate as clear() does."""
+        self._start()
+        self._leave(Mode.STOP, timeout)
+
+    def offline(self, timeout: float = LEAVE_TIME) -> None:
+        """Offline: stations are released and nothing more is sent. Leaves Operate as clear() does."""
+        self._bus.guard()
+        if self._bus.master is not None:
+            self._leave(Mode.OFFLINE, timeout)
+
+    def _leave(self, mode: Mode, timeout: float) -> None:
+        try:
+            self._rest_stations()
+        finally:
+            self._bus.set_mode(mode)
+        self._await_mode(mode, timeout)
+
+    def _rest_stations(self) -> None:
+        """"Clear alone is not stillness": each drive says its stop word first; none can keep the master from leaving."""
+        if self.mode != Mode.OPERATE:
+            return
+        deadline = time.monotonic() + REST_TIME
+        for station in self.stations:
+            if station.state != StationState.DATA:
+                continue
+            if time.monotonic() > deadline:
+                log.error("%s: no time left for its stop word, it goes to Clear as it is", station.name)
+                continue
+            try:
+                station._rest()
+            except Exception:
+                log.exception("%s: its stop word was not answered", station.name)
+
+    def _await_mode(self, mode: Mode, timeout: float) -> None:
+        if self._bus.wait(lambda: True if self._status().mode == mode else None, timeout) is None:
+            self._bus.check_port()
+            raise DPTimeout(f"the master did not reach {mode.name.title()} in {timeout} s, it is in {self.mode.name.title()}")
+
+    def _await_stations(self, timeout: float | None) -> list[Station]:
+        """Wait until all active stations exchange; those that do not, after `timeout` s."""
+        def absent(station: Station) -> bool:
+            return station.active and station.state != StationState.DATA
+
+        def ready() -> bool | None:
+            self._bus.check_port()
+            return None if any(map(absent, self.stations)) else True
+
+        return [] if self._bus.wait(ready, timeout) else list(filter(absent, self.stations))
+
+    def _missing_error(self, missing: list[Station], timeout: float | None) -> DPError:
+        refusing = [station for station in missing if Reason(station._status().reason).refusal]
+        lines = "; ".join(f"{station.name} (address {station.address}) {station.reason}" for station in missing)
+        text = f"{len(missing)} of {len(self.stations)} stations not in Data_Exchange after {timeout} s: {lines}"
+        foreign = self._status().foreign
+        if foreign >= 0:
+            text += f"; master {foreign} is on this bus, and only one master at a time is supported"
+        if refusing:
+            return StationError(text, address=refusing[0].address, reason=refusing[0].reason)
+        return DPTimeout(text)
+
+    def _warn(self) -> None:
+        if self.output_watchdog is None:
+            log.warning("the output watchdog is off: when this program hangs, drives run on with its last commit")
+        for station in self.stations:
+            if station.active and station.watchdog is None:
+                log.warning("%s: its watchdog is off, its outputs stay when the master dies", station.name)
+            for text in station._before_operate():
+                log.warning("%s: %s", station.name, text)
+
+    # ---- waits, events, requests
+
+    def wait_cycle(self, timeout: float | None = 1.0) -> int:
+        """Wait for the end of the bus cycle under way; returns its number. In the thread of the last commit it feeds the output
+        watchdog. Raises DPTimeout, NotOperatingError before the bus has begun, ClosedError."""
+        if self._begun().mode < Mode.CLEAR:
+            raise NotOperatingError(f"there are no cycles in {self.mode.name.title()}: operate() or clear() first")
+        seen = self._status().cycle
+        cycle = self._bus.wait(lambda: number if (number := self._status().cycle) != seen else None, timeout)
+        if cycle is None:
+            self._bus.check_port()
+            raise DPTimeout(f"no bus cycle ended in {timeout} s")
+        return int(cycle)
+
+    def _begun(self) -> Any:
+        self._bus.guard()
+        if self._bus.master is None:
+            raise NotOperatingError("the bus has not begun: operate(), clear() or stop() first")
+        return self._status()
+
+    def events(self, size: int = 256) -> Events:
+        """Subscribe to events: a ring of `size` events (a power of two, 2..65536) with a descriptor. Up to 7 at a time."""
+        self._bus.guard()
+        return Events(self._bus, size)
+
+    def request(self, address: int, service: str | Service = Service.SRD, dsap: int | None = None, ssap: int | None = None,
+                data: bytes = b"", timeout: float | None = 1.0) -> Answer:
+        """Carry out one FDL service by hand, between the cycle's own telegrams, or in Stop on a bus that is otherwise idle.
+
+        address: 0..126, 127 (all) for SDN. service: a `Service` or its name. dsap, ssap: 0..63, both or neither. data: up
+        to 246 octets, 244 behind SAPs. Raises StationError when nobody answers, ConfigurationError, DPTimeout after
+        `timeout` s without a turn on the bus.
+        """
+        raw = _raw_request(address, service, dsap, ssap, bytes(data))
+        self._start()
+        if self.mode == Mode.OFFLINE:
+            self._bus.set_mode(Mode.STOP)
+        if not self._bus.request(raw, timeout):
+            self._bus.check_port()
+            raise DPTimeout(f"the request to station {address} had no turn on the bus in {timeout} s")
+        return _answer(raw)
+
+    @property
+    def statistics(self) -> MasterStatistics:
+        status = self._begun()
+        fdl = status.fdl
+        rejected = {ffi.string(lib.dpm_reject_name(i)).decode(): fdl.rejected[i] for i in range(1, lib.DPM_REJECT_COUNT)}
+        return MasterStatistics(
+            status.cycle, status.cycle_last / NS, status.cycle_max / NS, FdlState(status.fdl_state),
+            None if status.foreign < 0 else status.foreign, fdl.requests, fdl.answers, fdl.repetitions, fdl.unanswered, fdl.sdn,
+            fdl.tokens, fdl.late_dropped, fdl.stray, fdl.foreign, fdl.send_failed, fdl.tokens_lost, rejected,
+            self._bus.statistics())
+
+    # ---- the end
+
+    @property
+    def closed(self) -> bool:
+        return self._bus.closed
+
+    def close(self) -> None:
+        """Leave the bus: stop words, Clear, unlock, silence; then end the thread and close the port.
+
+        Idempotent, from any thread, within 3 s whatever the bus does; wakes everybody who waits with ClosedError. It runs by
+        itself when the interpreter ends.
+        """
+        self._bus.process.guard(f"the master on {self._bus.path}")
+        with self._closing:
+            if self._bus.closed:
+                return
+            try:
+                self.offline()
+            except DPError as error:
+                log.warning("leaving the bus on %s: %s", self._bus.path, error)
+            finally:
+                self._bus.close()
+                _live.discard(self)
+        if self._logger not in (None, threading.current_thread()):
+            self._logger.join(LEAVE_TIME)
+
+    def __enter__(self) -> Master:
+        self._bus.guard()
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        if self._bus.process.here:
+            self.close()
+
+
+def _raw_request(address: int, service: str | Service, dsap: int | None, ssap: int | None, data: bytes) -> Any:
+    """A checked ``dpm_raw``."""
+    try:
+        chosen = Service[service.upper()] if isinstance(service, str) else Service(service)
+    except (KeyError, ValueError):
+        raise ConfigurationError(f"service {service!r}: one of {', '.join(s.name for s in Service)}") from None
+    highest = 127 if chosen in (Service.SDN, Service.SDN_LOW) else 126
+    if not 0 <= address <= highest:
+        raise ConfigurationError(f"address {address}: 0 to {highest} for {chosen.name}")
+    if (dsap is None) != (ssap is None):
+        raise ConfigurationError(f"dsap {dsap}, ssap {ssap}: give both or neither")
+    for name, sap in (("dsap", dsap), ("ssap", ssap)):
+        if sap is not None and not 0 <= sap <= 63:
+            raise ConfigurationError(f"{name} {sap}: 0 to 63")
+    room = lib.DPM_DATA_MAX if dsap is None else lib.DPM_IO_MAX
+    if len(data) > room:
+        raise ConfigurationError(f"{len(data)} octets of data: at most {room}, with SAPs {lib.DPM_IO_MAX}")
+    raw = ffi.new("dpm_raw *")
+    raw.da, raw.function = address, chosen
+    raw.dsap = lib.DPM_NO_SAP if dsap is None else dsap
+    raw.ssap = lib.DPM_NO_SAP if ssap is None else ssap
+    raw.length = len(data)
+    raw.data = data
+    return raw
+
+
+def _answer(raw: Any) -> Answer:
+    """The confirmation, or why there is none."""
+    tsdr = None if raw.tsdr < 0 else raw.tsdr / NS
+    if raw.status == lib.DPM_CONF_SENT:
+        return Answer(None, b"", None, 0)
+    if raw.status == lib.DPM_CONF_ANSWER:
+        return Answer(None if raw.short_ack else raw.fc, bytes(ffi.buffer(raw.answer, raw.answer_length)), tsdr, raw.tries)
+    reason = {
+        lib.DPM_CONF_NA: f"does not answer ({raw.tries} tries)",
+        lib.DPM_CONF_INVALID: "answered with something that is no answer to this request",
+    }.get(raw.status, "was not asked: the master lost the token or left the bus")
+    raise StationError(f"station {raw.da} {reason}", address=raw.da, reason=reason)
+
+
+def _log_events(master: weakref.ref[Master], events: Events) -> None:
+    """The thread "dpmaster-log". A station's trouble is told once, not with every try."""
+    told: dict[int, tuple[int, int]] = {}
+    for event in events:
+        owner = master()
+        station = None if owner is None or event.address is None else owner._stations.get(event.address)
+        del owner
+        try:
+            _log_event(event, station, told)
+        except Exception:
+            log.exception("logging %r", event)
+        del station
+
+
+def _log_event(event: Event, station: Station | None, told: dict[int, tuple[int, int]]) -> None:
+    who = station.name if station is not None else f"station {event.address}"
+    match event.kind:
+        case EventKind.FAULT if station is not None:
+            if told.get(station.address) != (event.a, event.b):
+                told[station.address] = (event.a, event.b)
+                log.warning("%s %s", who, why(event.a, event.b, ident_number=station.ident_number,
+                                              configuration=station.configuration))
+        case EventKind.STATE:
+            data = StationState.DATA in (event.a, event.b)
+            if event.a == StationState.DATA and station is not None:
+                told.pop(station.address, None)
+            log.log(logging.INFO if data else logging.DEBUG, "%s: %s -> %s", who, StationState(event.b).name,
+                    StationState(event.a).name)
+        case EventKind.MODE:
+            log.info("%s", event)
+        case EventKind.FOREIGN | EventKind.WATCHDOG | EventKind.LATE:
+            log.warning("%s", event)
+        case EventKind.PORT:
+            log.log(logging.ERROR if event.a else logging.INFO, "%s", event)
+        case _:
+            log.debug("%s", event)
