@@ -229,10 +229,10 @@ def paced(bare: Bare, rate: int) -> dict[str, float]:
         b.append(block)
         hubs.append(hub)
         c.append(peer_block(rate, PACED_SECONDS))
-    late = sum(hub.late_sum for hub in hubs) / max(1, sum(hub.deliveries for hub in hubs))
+    late = sum(hub.late_mean * hub.deliveries for hub in hubs) / max(1, sum(hub.deliveries for hub in hubs))
     worst = max(hub.late_max for hub in hubs)
     print(f"paced as {rate / 1000:g} kbit/s: {ideal / 1000:.1f} us on an ideal line; "
-          f"the hub delivers {late / 1000:.1f} us late on average, {worst / 1000:.0f} us at worst")
+          f"the hub delivers {late * 1e6:.1f} us late on average, {worst * 1e6:.0f} us at worst")
     show("(a) bare", a)
     show("(b) dpmaster", b)
     show("(c) pyprofibus", c)
