@@ -15,8 +15,9 @@
 #include <string.h>
 #include <sys/eventfd.h>
 #include <sys/syscall.h>
-#include <time.h>
 #include <unistd.h>
+
+#include "dpmaster/port.h"
 
 /* The variant with 64-bit times where there are two, so that the size of time_t does not matter. */
 #ifdef SYS_futex_time64
@@ -157,16 +158,10 @@ int dpm_worker_call(dpm_worker *worker, int (*fn)(void *object, void *argument),
     return code;
 }
 
-static int64_t monotonic(void)
-{
-    struct timespec time;
-    clock_gettime(CLOCK_MONOTONIC, &time);
-    return (int64_t)time.tv_sec * 1000000000 + time.tv_nsec;
-}
 
 int dpm_worker_wait(dpm_worker *worker, uint32_t seen, int64_t timeout)
 {
-    int64_t now = monotonic();
+    int64_t now = dpm_now();
     int64_t deadline = timeout < 0 || timeout > DPM_NEVER - now ? DPM_NEVER : now + timeout;
     int code = usable(worker);
     while (!code && atomic_load(&worker->progress) == seen) {

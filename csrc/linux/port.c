@@ -1,0 +1,461 @@
+/* SPDX-License-Identifier: MIT
+ *
+ * Serial ports and ptys: settings, reading with times, echo, writing, waiting. It may touch its own descriptor and
+ * the clock; it keeps no thread and calls nobody but the machine it is given.
+ */
+#include "linux/port.h"
+
+#include <asm/termbits.h>
+#include <errno.h>
+#include <fcntl.h>
+#include <limits.h>
+#include <linux/serial.h>
+#include <poll.h>
+#include <string.h>
+#include <sys/file.h>
+#include <sys/ioctl.h>
+#include <sys/stat.h>
+#include <sys/sysmacros.h>
+#include <time.h>
+#include <unistd.h>
+
+#include "dpmaster/error.h"
+#include "dpmaster/telegram.h"
+
+enum {
+    CHUNK = 512,           /* octets read at once: more than the longest telegram */
+    ECHO_MAX = 256         /* no telegram is longer than 255 octets */
+};
+
+/* The end of a wait is spun, for the kernel wakes some tens of microseconds late even with the timer slack gone. */
+#define SPIN INT64_C(60000)
+
+/* What the host may be late, by the kind of port. These are starting values for an idle desktop or a Raspberry Pi; a
+ * program that has measured its own gives dpm_port_config.allowance. */
+static const dpm_port_traits profiles[] = {
+    [DPM_PROFILE_UART] = {INT64_C(2000000), INT64_C(2000000)},   /* receive FIFO time-out, flip buffer, wake-up */
+    [DPM_PROFILE_USB] = {INT64_C(20000000), INT64_C(18000000)},  /* 16 ms latency timer, 1 ms frames each way */
+    [DPM_PROFILE_PTY] = {INT64_C(10000000), INT64_C(5000000)},   /* wake-up of two processes under load */
+};
+
+/* Our last transmission, while its echo may come. */
+typedef struct echo_filter {
+    uint8_t octets[ECHO_MAX];
+    size_t length;         /* 0: none is looked for */
+    size_t matched;        /* octets heard that equal ours; held back until the verdict */
+    bool expected;         /* told so, or found */
+    int64_t due;           /* what is not here by now does not come */
+    int64_t earliest;      /* of the octets held */
+    int64_t latest;
+} echo_filter;
+
+/* Which symbolic link led to a pty; all zeros when none did. */
+typedef struct link_mark {
+    ino_t inode;
+    struct timespec changed;
+} link_mark;
+
+struct dpm_port {
+    int fd;                /* -1: closed, or vanished */
+    dpm_port_config config;
+    dpm_port_info info;
+    bool pty;
+    bool marked;           /* the driver marks errors */
+    bool paced;            /* a transmission takes its characters' time */
+    int64_t character;     /* ns of one character at the rate */
+    int64_t spacing;       /* ns between octets read in one go */
+    int64_t lag;           /* ns that octets may lie unseen in a FIFO */
+    int64_t silent;        /* begin of the last read that came back empty */
+    dpm_marks marks;
+    echo_filter echo;
+    link_mark link;
+    char path[PATH_MAX];
+    uint8_t raw[CHUNK];
+    uint8_t octets[CHUNK + 2];
+    uint8_t errors[CHUNK + 2];
+};
+
+int64_t dpm_now(void)
+{
+    struct timespec time;
+    clock_gettime(CLOCK_MONOTONIC, &time);
+    return (int64_t)time.tv_sec * 1000000000 + time.tv_nsec;
+}
+
+/* ---- opening ---- */
+
+static int open_error(int code)
+{
+    switch (code) {
+    case ENOENT: case ENOTDIR: case ENXIO: case ENODEV: case EIO: case ENAMETOOLONG: case ELOOP:
+        return DPM_E_NO_PORT;
+    case EACCES: case EPERM: case EROFS:
+        return DPM_E_PERMISSION;
+    case EBUSY: case EWOULDBLOCK:
+        return DPM_E_IN_USE;
+    case EISDIR: case ENOTTY: case EINVAL:
+        return DPM_E_NOT_TTY;
+    default:
+        return DPM_E_SYSTEM;
+    }
+}
+
+/* Documentation/admin-guide/devices.txt: 136..143 are the slave ends of ptys, 166 and 188 USB serial adapters. */
+static int detect_profile(dev_t device)
+{
+    unsigned type = major(device);
+    if (type >= 136 && type <= 143)
+        return DPM_PROFILE_PTY;
+    return type == 166 || type == 188 ? DPM_PROFILE_USB : DPM_PROFILE_UART;
+}
+
+static uint32_t nominal_rate(const dpm_port_config *config)
+{
+    return (uint32_t)(((uint64_t)config->rate_num + config->rate_den / 2) / config->rate_den);
+}
+
+/* 8E1, raw, at the rate; then see what the driver made of it: some change silently what they cannot do. */
+static int set_line(dpm_port *port)
+{
+    struct termios2 line;
+    uint32_t rate = nominal_rate(&port->config);
+    if (ioctl(port->fd, TCGETS2, &line) < 0)
+        return open_error(errno);
+    line.c_iflag = port->marked ? INPCK | PARMRK : 0;
+    line.c_oflag = 0;
+    line.c_lflag = 0;
+    line.c_cflag = CS8 | PARENB | CREAD | CLOCAL | BOTHER | BOTHER << IBSHIFT;
+    line.c_ispeed = line.c_ospeed = rate;
+    line.c_cc[VMIN] = 1; /* an empty read is EAGAIN then, and 0 means that the line hung up */
+    line.c_cc[VTIME] = 0;
+    if (ioctl(port->fd, TCSETS2, &line) < 0 || ioctl(port->fd, TCGETS2, &line) < 0)
+        return errno == EINVAL ? DPM_E_SETTINGS : open_error(errno);
+    uint64_t error = line.c_ospeed > rate ? line.c_ospeed - rate : rate - line.c_ospeed;
+    port->info.parity = (line.c_cflag & (PARENB | PARODD)) == PARENB;
+    if ((line.c_cflag & CSIZE) != CS8 || (line.c_cflag & (CSTOPB | CRTSCTS)) || error * 1000 > (uint64_t)rate * 3)
+        return DPM_E_SETTINGS; /* EN 50170: the rate is kept within 0.3 % */
+    return port->info.parity || port->pty ? DPM_OK : DPM_E_SETTINGS;
+}
+
+/* Drivers that gather octets deliver them at once, where they know how. */
+static void ask_low_latency(int fd)
+{
+    struct serial_struct serial;
+    if (ioctl(fd, TIOCGSERIAL, &serial) == 0) {
+        serial.flags |= (int)ASYNC_LOW_LATENCY;
+        (void)ioctl(fd, TIOCSSERIAL, &serial);
+    }
+}
+
+/* The lock ends with its holder, however that dies. TIOCEXCL does so only where the last close resets it: a hub holds
+ * its ptys open, and the flag of a dead client would shut everybody out. */
+static int lock_port(const dpm_port *port)
+{
+    if (flock(port->fd, LOCK_EX | LOCK_NB) < 0)
+        return open_error(errno);
+    if (!port->pty)
+        (void)ioctl(port->fd, TIOCEXCL);
+    return DPM_OK;
+}
+
+static void close_fd(dpm_port *port)
+{
+    if (port->fd < 0)
+        return;
+    if (!port->pty)
+        (void)ioctl(port->fd, TIOCNXCL);
+    (void)flock(port->fd, LOCK_UN); /* by hand: a forked child may still hold the descriptor */
+    close(port->fd);
+    port->fd = -1;
+}
+
+/* What follows from the kind of port. */
+static void set_kind(dpm_port *port, dev_t device)
+{
+    int kind = detect_profile(device);
+    int profile = port->config.profile ? port->config.profile : kind;
+    port->pty = kind == DPM_PROFILE_PTY;
+    port->marked = !port->pty || profile != DPM_PROFILE_PTY;
+    port->paced = !port->pty || port->config.pace == DPM_PACE_BAUD;
+    port->spacing = port->pty ? 0 : port->character;
+    port->info.profile = profile;
+    port->info.traits = profiles[profile];
+    if (port->config.allowance >= 0)
+        port->info.traits.allowance = port->config.allowance;
+    port->lag = profile == DPM_PROFILE_PTY ? 0 : port->info.traits.granularity;
+}
+
+static int open_line(dpm_port *port)
+{
+    struct stat status;
+    struct termios2 line;
+    port->fd = open(port->path, O_RDWR | O_NOCTTY | O_NONBLOCK | O_CLOEXEC);
+    if (port->fd < 0)
+        return open_error(errno);
+    if (fstat(port->fd, &status) < 0 || ioctl(port->fd, TCGETS2, &line) < 0)
+        return open_error(errno);
+    set_kind(port, status.st_rdev);
+    int code = lock_port(port);
+    if (!code)
+        code = set_line(port);
+    if (code)
+        return code;
+    if (!port->pty)
+        ask_low_latency(port->fd);
+    (void)ioctl(port->fd, TCFLSH, TCIOFLUSH);
+    port->marks.seen = 0;
+    port->echo.length = port->echo.matched = 0;
+    port->silent = dpm_now();
+    return DPM_OK;
+}
+
+static link_mark mark_link(const char *path)
+{
+    struct stat status;
+    link_mark mark;
+    memset(&mark, 0, sizeof mark);
+    if (lstat(path, &status) == 0 && S_ISLNK(status.st_mode)) {
+        mark.inode = status.st_ino;
+        mark.changed = status.st_ctim;
+    }
+    return mark;
+}
+
+static bool same_link(const link_mark *a, const link_mark *b)
+{
+    return a->inode == b->inode && a->changed.tv_sec == b->changed.tv_sec && a->changed.tv_nsec == b->changed.tv_nsec;
+}
+
+static int open_path(dpm_port *port)
+{
+    int code = open_line(port);
+    int why = errno;
+    if (code)
+        close_fd(port);
+    else
+        port->link = mark_link(port->path);
+    errno = why;
+    return code;
+}
+
+void dpm_port_lose(dpm_port *port)
+{
+    close_fd(port);
+}
+
+int dpm_port_reopen(dpm_port *port)
+{
+    /* The number of a pty goes to the next who asks, which may be somebody's terminal: only a link that was made anew
+     * since is a promise that the port is back. */
+    if (port->pty) {
+        link_mark now = mark_link(port->path);
+        if (!now.inode || same_link(&now, &port->link))
+            return DPM_E_NO_PORT;
+    }
+    return open_path(port);
+}
+
+size_t dpm_port_size(void)
+{
+    return sizeof(dpm_port);
+}
+
+int dpm_port_open(void *block, size_t size, const dpm_port_config *config, dpm_port **out)
+{
+    if (!block || size < sizeof(dpm_port) || (uintptr_t)block % 16)
+        return DPM_E_BLOCK;
+    if (!config->path || !config->rate_num || !config->rate_den || config->profile < DPM_PROFILE_AUTO ||
+        config->profile > DPM_PROFILE_PTY || config->echo < DPM_ECHO_AUTO || config->echo > DPM_ECHO_ON ||
+        config->pace < DPM_PACE_AUTO || config->pace > DPM_PACE_BAUD)
+        return DPM_E_ARGUMENT;
+    size_t length = strlen(config->path);
+    if (length >= PATH_MAX)
+        return DPM_E_NO_PORT;
+    dpm_port *port = block;
+    memset(port, 0, sizeof *port);
+    memcpy(port->path, config->path, length + 1);
+    port->config = *config;
+    port->config.path = port->path;
+    port->character = (INT64_C(11000000000) * config->rate_den + config->rate_num - 1) / config->rate_num;
+    port->echo.expected = config->echo == DPM_ECHO_ON;
+    int code = open_path(port);
+    if (!code)
+        *out = port;
+    return code;
+}
+
+void dpm_port_close(dpm_port *port)
+{
+    close_fd(port);
+}
+
+int dpm_port_fd(const dpm_port *port)
+{
+    return port->fd;
+}
+
+void dpm_port_get_info(const dpm_port *port, dpm_port_info *info)
+{
+    *info = port->info;
+}
+
+/* ---- receiving ---- */
+
+static void give(dpm_port *port, dpm_machine *machine, const uint8_t *octets, const uint8_t *errors, size_t n,
+                 int64_t earliest, int64_t read)
+{
+    /* The last one had come when read returned, the others a character before each other. */
+    int64_t latest = read - (int64_t)(n - 1) * port->spacing;
+    dpm_span span = {octets, errors, n, earliest < latest ? earliest : latest, latest, port->spacing, false};
+    machine->octets(machine, &span);
+}
+
+/* What was held back is no echo: it is somebody's telegram. */
+static void release(dpm_port *port, dpm_machine *machine)
+{
+    echo_filter *echo = &port->echo;
+    size_t held = echo->matched;
+    if (echo->length && echo->expected)
+        port->info.echo_errors++;
+    echo->length = echo->matched = 0;
+    if (held)
+        give(port, machine, echo->octets, NULL, held, echo->earliest, echo->latest);
+}
+
+/* Take the echo of our last transmission from the front of `n` octets; returns how many of them were taken. */
+static size_t take_echo(dpm_port *port, dpm_machine *machine, size_t n, int64_t earliest, int64_t read)
+{
+    echo_filter *echo = &port->echo;
+    size_t i = 0;
+    while (i < n && echo->matched < echo->length && port->octets[i] == echo->octets[echo->matched] &&
+           !port->errors[i]) {
+        if (!echo->matched)
+            echo->earliest = earliest;
+        echo->latest = read - (int64_t)(n - 1 - i) * port->spacing;
+        echo->matched++;
+        i++;
+    }
+    if (echo->length && echo->matched == echo->length) {
+        port->info.echo_octets += echo->length;
+        echo->expected = true;
+        echo->length = echo->matched = 0;
+    } else if (i < n) {
+        release(port, machine);
+    }
+    return i;
+}
+
+static void take_octets(dpm_port *port, dpm_machine *machine, size_t n)
+{
+    int64_t read = dpm_now();
+    int64_t earliest = port->silent - port->info.traits.granularity;
+    const uint8_t *errors = NULL;
+    if (port->marked) {
+        n = dpm_unmark(&port->marks, port->raw, n, port->octets, port->errors);
+        for (size_t i = 0; i < n; i++) {
+            if (port->errors[i]) {
+                port->info.line_errors++;
+                errors = port->errors;
+            }
+        }
+    } else {
+        memcpy(port->octets, port->raw, n);
+    }
+    port->info.octets_in += n;
+    size_t taken = port->echo.length ? take_echo(port, machine, n, earliest, read) : 0;
+    if (taken < n)
+        give(port, machine, port->octets + taken, errors ? errors + taken : NULL, n - taken, earliest, read);
+}
+
+/* Nothing is unread. While an echo is half here its octets are held, and nothing is said about the line. */
+static void report_quiet(dpm_port *port, dpm_machine *machine, int64_t before)
+{
+    port->silent = before;
+    if (port->echo.matched) {
+        if (before < port->echo.due)
+            return;
+        release(port, machine);
+    }
+    machine->quiet(machine, before - port->lag);
+}
+
+int dpm_port_read(dpm_port *port, dpm_machine *machine)
+{
+    ssize_t n;
+    int64_t before;
+    do {
+        before = dpm_now();
+        n = read(port->fd, port->raw, CHUNK);
+    } while (n < 0 && errno == EINTR);
+    if (n > 0)
+        take_octets(port, machine, (size_t)n);
+    else if (n < 0 && errno == EAGAIN)
+        report_quiet(port, machine, before);
+    else
+        return DPM_E_GONE;
+    return n > 0 ? (int)n : 0;
+}
+
+/* ---- sending ---- */
+
+static void expect_echo(dpm_port *port, const uint8_t *octets, size_t n, int64_t end)
+{
+    echo_filter *echo = &port->echo;
+    if (port->config.echo == DPM_ECHO_OFF)
+        return;
+    memcpy(echo->octets, octets, n);
+    echo->length = n;
+    echo->matched = 0;
+    echo->due = end + port->info.traits.allowance;
+}
+
+int dpm_port_write(dpm_port *port, dpm_machine *machine, const uint8_t *octets, size_t n)
+{
+    if (n == 0 || n > ECHO_MAX)
+        return DPM_E_LENGTH;
+    if (port->echo.length)
+        release(port, machine);
+    int64_t start = dpm_now();
+    ssize_t written = write(port->fd, octets, n);
+    int why = errno;
+    int64_t end_earliest = dpm_now(), end_latest = end_earliest;
+    if (written <= 0) {
+        machine->sent(machine, start, end_earliest, end_latest, DPM_SENT_FAILED);
+        return written < 0 && (why == EAGAIN || why == EINTR) ? DPM_OK : DPM_E_GONE;
+    }
+    int64_t duration = (int64_t)written * port->character;
+    if (port->paced) {
+        /* The first start bit went out while write was under way. */
+        end_earliest = start + duration;
+        end_latest += duration;
+    } else if (port->config.pace == DPM_PACE_AUTO && start + duration > end_latest) {
+        end_latest = start + duration;
+    }
+    port->info.octets_out += (uint64_t)written;
+    expect_echo(port, octets, (size_t)written, end_latest);
+    machine->sent(machine, start, end_earliest, end_latest, (size_t)written < n ? DPM_SENT_CUT : DPM_SENT_WHOLE);
+    return DPM_OK;
+}
+
+/* ---- waiting ---- */
+
+static int poll_for(struct pollfd fds[2], int64_t time)
+{
+    struct timespec timeout = {(time_t)(time / 1000000000), (long)(time % 1000000000)};
+    if (ppoll(fds, 2, &timeout, NULL) <= 0)
+        return 0;
+    return (fds[0].revents ? 1 : 0) | (fds[1].revents ? 2 : 0);
+}
+
+int dpm_port_wait(dpm_port *port, int wake_fd, int64_t deadline)
+{
+    struct pollfd fds[2] = {{port->fd, POLLIN, 0}, {wake_fd, POLLIN, 0}};
+    for (;;) {
+        int64_t left = deadline - dpm_now();
+        /* An hour at most, so that the time fits wherever time_t is small; the loop goes on. */
+        int64_t sleep = left - SPIN > INT64_C(3600000000000) ? INT64_C(3600000000000) : left - SPIN;
+        int mask = poll_for(fds, sleep > 0 ? sleep : 0);
+        if (mask || left <= 0)
+            return mask;
+    }
+}
