@@ -1,0 +1,507 @@
+# SPDX-License-Identifier: MIT
+"""Ports: opening and its refusals, octets with their times, echo, the ends of transmissions, waiting."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import pty
+import select
+import struct
+import subprocess
+import sys
+import termios
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dpmaster._core import block, ffi, lib
+
+ROOT = Path(__file__).resolve().parent.parent
+TOKEN = bytes.fromhex("DC 02 02")  # protocol page B: SD4 DA SA
+
+
+@dataclass
+class Recorder:
+    """A machine that writes down what it is told."""
+
+    log: list[tuple[Any, ...]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        def octets(_: Any, span: Any) -> None:
+            errors = bytes(ffi.buffer(span.errors, span.n)) if span.errors else None
+            self.log.append(("octets", bytes(ffi.buffer(span.octets, span.n)), errors, span.earliest, span.latest,
+                             span.spacing, span.echo))
+
+        def quiet(_: Any, until: int) -> None:
+            self.log.append(("quiet", until))
+
+        def sent(_: Any, start: int, earliest: int, latest: int, result: int) -> None:
+            self.log.append(("sent", start, earliest, latest, result))
+
+        self._keep = (
+            ffi.callback("void(dpm_machine *, const dpm_span *)", octets),
+            ffi.callback("void(dpm_machine *, int64_t)", quiet),
+            ffi.callback("void(dpm_machine *, int64_t, int64_t, int64_t, int)", sent),
+        )
+        self.machine = ffi.new("dpm_machine *")
+        self.machine.octets, self.machine.quiet, self.machine.sent = self._keep
+
+    def take(self, kind: str) -> list[tuple[Any, ...]]:
+        """The entries of one kind, without the kind; the log is emptied."""
+        entries = [entry[1:] for entry in self.log if entry[0] == kind]
+        self.log.clear()
+        return entries
+
+    def received(self) -> bytes:
+        return b"".join(entry[0] for entry in self.take("octets"))
+
+
+class Port:
+    """A dpm_port on a pty of its own, or on `path`."""
+
+    def __init__(self, path: str | None = None, *, rate: int = 500_000, profile: int = 0, echo: int = 0, pace: int = 0,
+                 allowance: int = -1) -> None:
+        self.far = -1
+        if path is None:
+            self.far, near = pty.openpty()
+            path = os.ttyname(near)
+        self.path = path
+        self.recorder = Recorder()
+        self._path = ffi.new("char[]", path.encode())
+        config = ffi.new("dpm_port_config *", {"path": self._path, "rate_num": rate, "rate_den": 1, "profile": profile,
+                                               "echo": echo, "pace": pace, "allowance": allowance})
+        size = lib.dpm_port_size()
+        self._block = block(size)
+        out = ffi.new("dpm_port **")
+        self.code = lib.dpm_port_open(self._block, size, config, out)
+        self.port = out[0] if self.code == 0 else None
+        if self.far >= 0:
+            os.close(near)
+
+    @property
+    def info(self) -> Any:
+        info = ffi.new("dpm_port_info *")
+        lib.dpm_port_get_info(self.port, info)
+        return info
+
+    def hear(self, octets: bytes) -> bytes:
+        """Send `octets` from the far end and read them here; returns what the machine was given."""
+        os.write(self.far, octets)
+        assert lib.dpm_port_wait(self.port, -1, lib.dpm_now() + 5_000_000_000) == 1
+        assert self.read() == len(octets)
+        return self.recorder.received()
+
+    def read(self) -> int:
+        return int(lib.dpm_port_read(self.port, self.recorder.machine))
+
+    def write(self, octets: bytes) -> int:
+        return int(lib.dpm_port_write(self.port, self.recorder.machine, octets, len(octets)))
+
+    def close(self) -> None:
+        if self.port is not None:
+            lib.dpm_port_close(self.port)
+        self.hang_up()
+
+    def hang_up(self) -> None:
+        if self.far >= 0:
+            os.close(self.far)
+            self.far = -1
+
+
+Opener = Callable[..., Port]
+
+
+@pytest.fixture
+def opened() -> Iterator[Opener]:
+    ports: list[Port] = []
+
+    def opener(*args: Any, **kwargs: Any) -> Port:
+        ports.append(Port(*args, **kwargs))
+        return ports[-1]
+
+    before = set(os.listdir("/proc/self/fd"))
+    yield opener
+    for port in ports:
+        port.close()
+    assert set(os.listdir("/proc/self/fd")) == before, "a descriptor was left behind"
+
+
+# ---- opening ----
+
+
+@pytest.mark.parametrize(("path", "code"), [
+    ("/dev/no-such-port", "NO_PORT"),
+    ("/dev/null/port", "NO_PORT"),
+    ("/dev/" + "x" * 5000, "NO_PORT"),
+    ("/dev/null", "NOT_TTY"),
+    ("/", "NOT_TTY"),
+    (__file__, "NOT_TTY"),
+])
+def test_a_path_that_is_no_port_is_refused_for_what_it_is(opened: Opener, path: str, code: str) -> None:
+    assert opened(path).code == getattr(lib, f"DPM_E_{code}")
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may open everything")
+def test_a_port_of_somebody_else_is_refused(opened: Opener, tmp_path: Path) -> None:
+    path = tmp_path / "port"
+    path.touch(mode=0)
+    assert opened(str(path)).code == lib.DPM_E_PERMISSION
+
+
+@pytest.mark.parametrize("wrong", [{"rate": 0}, {"profile": 4}, {"profile": -1}, {"echo": 3}, {"pace": 3}])
+def test_a_setting_out_of_range_is_refused(opened: Opener, wrong: dict[str, int]) -> None:
+    assert opened(**wrong).code == lib.DPM_E_ARGUMENT
+
+
+def test_a_port_is_opened_once(opened: Opener) -> None:
+    first = opened()
+    assert first.code == 0
+    assert opened(first.path).code == lib.DPM_E_IN_USE
+    lib.dpm_port_close(first.port)
+    assert opened(first.path).code == 0
+
+
+def test_a_forked_child_does_not_keep_the_lock(opened: Opener) -> None:
+    first = opened()
+    ready, go = os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.close(go)
+        os.read(ready, 1)  # until the parent is done
+        os._exit(0)
+    os.close(ready)
+    lib.dpm_port_close(first.port)
+    assert opened(first.path).code == 0
+    os.close(go)
+    os.waitpid(child, 0)
+
+
+def test_the_descriptor_does_not_reach_other_programs(opened: Opener) -> None:
+    fd = lib.dpm_port_fd(opened().port)
+    listing = subprocess.run([sys.executable, "-c", "import os; print(os.listdir('/proc/self/fd'))"],
+                             capture_output=True, check=True, text=True, close_fds=False)
+    assert f"'{fd}'" not in listing.stdout
+
+
+def test_a_small_or_crooked_block_is_refused() -> None:
+    start = block(lib.dpm_port_size() + 16)
+    config, out = ffi.new("dpm_port_config *"), ffi.new("dpm_port **")
+    assert lib.dpm_port_open(start, lib.dpm_port_size() - 1, config, out) == lib.DPM_E_BLOCK
+    assert lib.dpm_port_open(ffi.cast("char *", start) + 8, lib.dpm_port_size(), config, out) == lib.DPM_E_BLOCK
+    assert lib.dpm_port_open(ffi.NULL, lib.dpm_port_size(), config, out) == lib.DPM_E_BLOCK
+
+
+def test_the_line_is_raw_and_a_pty_without_parity_is_accepted(opened: Opener) -> None:
+    """Protocol page N.1: CS8, no PARODD, CSTOPB or CRTSCTS, CLOCAL and CREAD, VTIME 0. Design: a pty drops parity."""
+    port = opened(rate=9600)
+    iflag, oflag, cflag, lflag, _, _, cc = termios.tcgetattr(port.far)
+    assert (iflag, oflag, lflag) == (0, 0, 0)
+    assert cflag & termios.CSIZE == termios.CS8
+    assert cflag & termios.CLOCAL and cflag & termios.CREAD
+    assert not cflag & (termios.PARODD | termios.CSTOPB | termios.CRTSCTS)
+    assert (cc[termios.VMIN], cc[termios.VTIME]) == (1, 0)
+    assert port.info.parity == bool(cflag & termios.PARENB) and not port.info.parity
+
+
+@pytest.mark.parametrize("rate", [9600, 45_450, 93_750, 187_500, 12_000_000])
+def test_any_rate_is_set(opened: Opener, rate: int) -> None:
+    """Protocol page N.1: struct termios2 with BOTHER. Its last two words are c_ispeed and c_ospeed."""
+    termios2 = fcntl.ioctl(opened(rate=rate).far, 0x802C542A, bytes(44))  # TCGETS2
+    assert struct.unpack("=36x2I", termios2) == (rate, rate)
+
+
+def test_the_profile_follows_the_path_and_may_be_overruled(opened: Opener) -> None:
+    by_path, told = opened(), opened(profile=lib.DPM_PROFILE_USB, allowance=7)
+    assert by_path.info.profile == lib.DPM_PROFILE_PTY
+    assert by_path.info.traits.allowance > 0
+    assert told.info.profile == lib.DPM_PROFILE_USB
+    assert told.info.traits.allowance == 7
+    assert told.info.traits.granularity > by_path.info.traits.granularity
+
+
+# ---- receiving ----
+
+
+def test_octets_come_with_the_interval_in_which_they_ended(opened: Opener) -> None:
+    port = opened()
+    assert port.read() == 0
+    ((silent,),) = port.recorder.take("quiet")
+    before = lib.dpm_now()
+    os.write(port.far, TOKEN)
+    assert lib.dpm_port_wait(port.port, -1, lib.dpm_now() + 5_000_000_000) == 1
+    assert port.read() == 3
+    after = lib.dpm_now()
+    ((octets, errors, earliest, latest, spacing, echo),) = port.recorder.take("octets")
+    assert (octets, errors, spacing, echo) == (TOKEN, None, 0, False)
+    assert before < latest <= after
+    # Never certain on a pty: they may lie in the kernel for as long as the port's granularity.
+    assert earliest == silent - port.info.traits.granularity
+    assert port.info.octets_in == 3
+
+
+def test_quiet_reaches_up_to_the_begin_of_the_read(opened: Opener) -> None:
+    port = opened()
+    before = lib.dpm_now()
+    assert port.read() == 0
+    ((until,),) = port.recorder.take("quiet")
+    assert before <= until <= lib.dpm_now()
+
+
+def test_a_port_with_a_fifo_vouches_for_the_past_only(opened: Opener) -> None:
+    port = opened(profile=lib.DPM_PROFILE_UART)
+    assert port.read() == 0
+    ((until,),) = port.recorder.take("quiet")
+    assert until <= lib.dpm_now() - port.info.traits.granularity
+
+
+def test_a_real_ff_is_not_doubled_where_errors_are_marked(opened: Opener) -> None:
+    port = opened(profile=lib.DPM_PROFILE_UART)
+    octets = bytes.fromhex("68 FF 00 41 FF FF 16")
+    os.write(port.far, octets)
+    received = b""
+    while len(received) < len(octets):
+        lib.dpm_port_wait(port.port, -1, lib.dpm_now() + 5_000_000_000)
+        assert port.read() > 0
+        received += port.recorder.received()
+    assert received == octets
+    assert port.info.line_errors == 0
+
+
+def test_a_port_that_hung_up_is_gone(opened: Opener) -> None:
+    port = opened()
+    port.hang_up()
+    assert lib.dpm_port_wait(port.port, -1, lib.dpm_now() + 5_000_000_000) == 1
+    assert port.read() == lib.DPM_E_GONE
+    assert port.write(TOKEN) == lib.DPM_E_GONE
+    assert port.recorder.take("sent")[0][3] == lib.DPM_SENT_FAILED
+
+
+# ---- error marks ----
+
+
+@pytest.fixture(scope="module")
+def unmark(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], list[tuple[int, int]]]:
+    """The decoder on its own, fed octet by octet: hex to pairs of octet and error bits."""
+    folder = tmp_path_factory.mktemp("marks")
+    program = folder / "unmark"
+    source = folder / "main.c"
+    source.write_text("""
+        #include <stdio.h>
+        #include "linux/port.h"
+        int main(void)
+        {
+            dpm_marks marks = {0};
+            uint8_t raw, octets[3], errors[3];
+            for (int octet; (octet = getchar()) != EOF;) {
+                raw = (uint8_t)octet;
+                size_t n = dpm_unmark(&marks, &raw, 1, octets, errors);
+                for (size_t i = 0; i < n; i++)
+                    printf("%u %u\\n", octets[i], errors[i]);
+            }
+        }""")
+    subprocess.run([os.environ.get("CC", "cc"), "-std=c11", f"-I{ROOT / 'include'}", f"-I{ROOT / 'csrc'}", str(source),
+                    str(ROOT / "csrc/linux/marks.c"), "-o", str(program)], check=True)
+
+    def run(raw: str) -> list[tuple[int, int]]:
+        out = subprocess.run([str(program)], input=bytes.fromhex(raw), capture_output=True, check=True).stdout
+        words = list(map(int, out.split()))
+        return list(zip(words[::2], words[1::2], strict=True))
+
+    return run
+
+
+def test_marks_of_the_driver_become_line_errors(unmark: Callable[[str], list[tuple[int, int]]]) -> None:
+    """Termios(3), PARMRK: a bad character arrives as FF 00 xx, a real FF as FF FF, a break as FF 00 00."""
+    parity = lib.DPM_LINE_PARITY
+    assert unmark("10 02 00 16") == [(0x10, 0), (0x02, 0), (0x00, 0), (0x16, 0)]
+    assert unmark("FF FF 00 41") == [(0xFF, 0), (0x00, 0), (0x41, 0)]
+    assert unmark("10 FF 00 41 16") == [(0x10, 0), (0x41, parity), (0x16, 0)]
+    assert unmark("FF 00 FF FF FF") == [(0xFF, parity), (0xFF, 0)]
+    assert unmark("FF 00 00 00") == [(0x00, parity | lib.DPM_LINE_BREAK), (0x00, 0)]
+    assert unmark("16 FF") == [(0x16, 0)]
+    overrun = lib.DPM_LINE_OVERRUN
+    assert unmark("FF 41 10") == [(0xFF, overrun), (0x41, overrun), (0x10, 0)]
+
+
+# ---- sending ----
+
+
+def test_an_unpaced_transmission_ends_when_write_returns(opened: Opener) -> None:
+    port = opened(pace=lib.DPM_PACE_NONE, rate=9600)
+    assert port.write(TOKEN) == 0
+    ((start, earliest, latest, result),) = port.recorder.take("sent")
+    assert start < earliest == latest <= lib.dpm_now()
+    assert result == lib.DPM_SENT_WHOLE
+    assert os.read(port.far, 16) == TOKEN
+    assert port.info.octets_out == 3
+
+
+def test_a_paced_transmission_ends_after_eleven_bits_a_character(opened: Opener) -> None:
+    port = opened(pace=lib.DPM_PACE_BAUD, rate=9600)
+    before = lib.dpm_now()
+    port.write(TOKEN)
+    after = lib.dpm_now()
+    ((start, earliest, latest, _),) = port.recorder.take("sent")
+    duration = -(-11 * 1_000_000_000 // 9600) * 3
+    assert earliest == start + duration
+    assert before + duration <= earliest <= latest <= after + duration
+
+
+def test_of_a_pty_of_unknown_pace_the_end_is_an_interval(opened: Opener) -> None:
+    port = opened(rate=9600)
+    port.write(TOKEN)
+    ((start, earliest, latest, _),) = port.recorder.take("sent")
+    assert earliest <= lib.dpm_now()
+    assert latest == max(earliest, start + 3 * -(-11 * 1_000_000_000 // 9600))
+
+
+def test_a_full_port_cuts_or_refuses_a_telegram(opened: Opener) -> None:
+    port = opened(echo=lib.DPM_ECHO_OFF)
+    results = []
+    while lib.DPM_SENT_FAILED not in results:
+        assert port.write(bytes(255)) == 0
+        results.append(port.recorder.take("sent")[0][3])
+    accepted = port.info.octets_out
+    assert results.count(lib.DPM_SENT_WHOLE) * 255 <= accepted
+    assert results.count(lib.DPM_SENT_CUT) <= 1
+    assert (accepted % 255 != 0) == (lib.DPM_SENT_CUT in results)
+
+
+# ---- echo ----
+
+
+REQUEST = bytes.fromhex("10 05 02 49 50 16")  # Request FDL Status 2 -> 5
+ANSWER = bytes.fromhex("10 02 05 00 07 16")
+
+
+def test_an_echo_is_found_out_and_removed(opened: Opener) -> None:
+    port = opened()
+    port.write(REQUEST)
+    assert port.hear(REQUEST) == b""
+    assert port.hear(ANSWER) == ANSWER
+    assert (port.info.echo_octets, port.info.echo_errors) == (6, 0)
+
+
+def test_an_echo_and_the_answer_behind_it_are_told_apart_in_one_read(opened: Opener) -> None:
+    port = opened()
+    port.write(REQUEST)
+    assert port.hear(REQUEST + ANSWER) == ANSWER
+    assert port.info.echo_octets == 6
+
+
+def test_an_echo_may_come_in_pieces(opened: Opener) -> None:
+    port = opened()
+    port.write(REQUEST)
+    for octet in REQUEST[:-1]:
+        assert port.hear(bytes([octet])) == b""
+        assert port.read() == 0
+        assert port.recorder.take("quiet") == []  # octets are held back: nothing is said about the line
+    assert port.hear(REQUEST[-1:]) == b""
+    assert port.read() == 0
+    assert len(port.recorder.take("quiet")) == 1
+    assert port.info.echo_octets == 6
+
+
+def test_the_token_to_oneself_heard_back_is_an_echo(opened: Opener) -> None:
+    port = opened()
+    port.write(TOKEN)
+    assert port.hear(TOKEN) == b""
+    assert port.hear(TOKEN) == TOKEN  # the second one is somebody else's
+    assert port.info.echo_octets == 3
+
+
+def test_what_differs_after_some_octets_is_given_whole(opened: Opener) -> None:
+    port = opened()
+    port.write(REQUEST)
+    assert port.hear(ANSWER) == ANSWER  # both begin with SD1
+    assert port.info.echo_octets == port.info.echo_errors == 0
+    port.write(REQUEST)
+    assert port.hear(REQUEST[:3]) == b""
+    assert port.hear(ANSWER) == REQUEST[:3] + ANSWER
+
+
+def test_octets_held_back_are_given_before_the_next_write(opened: Opener) -> None:
+    port = opened()
+    port.write(REQUEST)
+    assert port.hear(REQUEST[:3]) == b""
+    port.write(REQUEST)
+    assert port.recorder.log[0][:2] == ("octets", REQUEST[:3])
+
+
+def test_octets_held_back_are_given_when_no_echo_can_come_any_more(opened: Opener) -> None:
+    port = opened(allowance=0, pace=lib.DPM_PACE_NONE)
+    port.write(REQUEST)
+    os.write(port.far, REQUEST[:3])
+    select.select([lib.dpm_port_fd(port.port)], [], [], 5.0)
+    assert port.read() == 3
+    assert port.read() == 0
+    kinds = [entry[0] for entry in port.recorder.log if entry[0] != "sent"]
+    assert kinds == ["octets", "quiet"]
+    assert port.recorder.received() == REQUEST[:3]
+
+
+def test_where_an_echo_is_due_anything_else_is_counted(opened: Opener) -> None:
+    port = opened(echo=lib.DPM_ECHO_ON)
+    port.write(REQUEST)
+    collided = REQUEST[:4] + b"\x51\x16"
+    assert port.hear(collided) == collided
+    port.write(REQUEST)
+    port.write(REQUEST)  # the one before was not heard at all
+    assert port.hear(REQUEST) == b""
+    assert (port.info.echo_octets, port.info.echo_errors) == (6, 2)
+
+
+def test_an_echo_once_found_is_expected(opened: Opener) -> None:
+    port = opened()
+    port.write(REQUEST)
+    assert port.hear(REQUEST) == b""
+    port.write(REQUEST)
+    assert port.hear(ANSWER) == ANSWER
+    assert port.info.echo_errors == 1
+
+
+def test_with_echo_off_everything_is_given(opened: Opener) -> None:
+    port = opened(echo=lib.DPM_ECHO_OFF)
+    port.write(REQUEST)
+    assert port.hear(REQUEST) == REQUEST
+    assert port.info.echo_octets == 0
+
+
+# ---- waiting ----
+
+
+def test_a_wait_ends_at_its_deadline_not_before(opened: Opener) -> None:
+    port = opened()
+    late = []
+    for step in (0, 1_000, 30_000, 100_000, 1_000_000, 2_000_000) * 5:
+        deadline = lib.dpm_now() + step
+        assert lib.dpm_port_wait(port.port, -1, deadline) == 0
+        late.append(lib.dpm_now() - deadline)
+    assert min(late) >= 0
+    # Others may take the processor away at any time, but not at every one of thirty deadlines.
+    assert min(late) < 1_000_000
+
+
+def test_octets_end_a_wait_in_the_sleep_and_in_the_spin(opened: Opener) -> None:
+    port = opened()
+    os.write(port.far, b"\xE5")
+    assert select.select([lib.dpm_port_fd(port.port)], [], [], 5.0)[0]
+    for step in (10_000, 5_000_000_000):
+        deadline = lib.dpm_now() + step
+        assert lib.dpm_port_wait(port.port, -1, deadline) == 1
+    assert lib.dpm_now() < deadline
+    assert lib.dpm_port_wait(port.port, -1, lib.DPM_NEVER) == 1
+
+
+def test_the_other_descriptor_ends_a_wait(opened: Opener) -> None:
+    port = opened()
+    wake = os.eventfd(1, os.EFD_CLOEXEC)
+    assert lib.dpm_port_wait(port.port, wake, lib.DPM_NEVER) == 2
+    os.write(port.far, b"\xE5")
+    select.select([lib.dpm_port_fd(port.port)], [], [], 5.0)
+    assert lib.dpm_port_wait(port.port, wake, lib.DPM_NEVER) == 3
+    os.close(wake)
