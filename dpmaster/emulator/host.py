@@ -1,0 +1,314 @@
+# SPDX-License-Identifier: MIT
+"""Where emulated cards live: their slaves in a machine of the C library, their applications on one thread.
+
+`Segment` and `Line` are hosts; they differ in whose wire the slaves are on. The thread sleeps in C until a slave's state or
+outputs changed or a card's `next_step` has come. It is the only one that steps cards, reads their outputs and writes
+their inputs. With `segment.py` and `line.py` this is the emulator's only contact with the binding.
+"""
+
+from __future__ import annotations
+
+import atexit
+import logging
+import threading
+import time
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Any, Self, TypeVar
+
+from dpmaster._core import NS, Process, block, check, error, ffi, lib
+from dpmaster.emulator.card import Card, Exchange, SlaveState
+from dpmaster.errors import ClosedError, ConfigurationError, DPError
+
+__all__ = ["Host", "SlaveReport", "bus_parameters"]
+
+log = logging.getLogger("dpmaster.emulator")
+
+CardT = TypeVar("CardT", bound=Card)
+
+IDLE = 0.1  # s, longest sleep of the application thread: a card attached meanwhile waits no longer for its first timer
+JOIN = 2.0  # s that close() waits for a card's step to return
+
+
+@dataclass(frozen=True, slots=True)
+class SlaveReport:
+    """A slave as its DP side is now (`dpm_slave_state_report`); times in seconds."""
+
+    address: int
+    state: SlaveState
+    master: int | None
+    configuration: int
+    clear: bool
+    operate_seen: bool
+    watchdog: float | None
+    watchdog_expired: int
+    user_parameters: bytes
+    group: int
+    requests: int
+    answers: int
+    repetitions: int
+    late_dropped: int
+    exchanges: int
+
+
+@dataclass(slots=True, eq=False)
+class Slot:
+    """A card, its slave and the images between them."""
+
+    card: Card
+    memory: tuple[Any, Any]
+    outputs: Any
+    inputs: Any
+    index: int = -1
+    exchange: Exchange = field(default_factory=Exchange)
+    octets: bytes | None = None
+    next: float = 0.0
+    failed: bool = False
+    report: Any = field(default_factory=lambda: ffi.new("dpm_slave_state_report *"))
+    frame: Any = field(default_factory=lambda: ffi.new("dpm_frame *"))
+
+    def step(self, now: float) -> None:
+        """Let the card live until `now` and hand its octets over if they are new."""
+        octets = bytes(self.card.step(now, self.exchange))
+        if len(octets) > lib.DPM_IO_MAX:
+            raise ConfigurationError(f"{describe(self.card)} gave {len(octets)} input octets: at most {lib.DPM_IO_MAX} fit")
+        self.next = self.card.next_step(now)
+        if octets != self.octets:
+            self.octets = octets
+            self.frame.length = len(octets)
+            ffi.memmove(self.frame.octets, octets, len(octets))
+            lib.dpm_image_put(self.inputs, self.frame)
+
+    def look(self) -> Exchange:
+        """The exchange as report and outputs show it."""
+        frame = lib.dpm_image_get(self.outputs)
+        report = self.report
+        return Exchange(
+            state=SlaveState(report.state), outputs=bytes(ffi.buffer(frame.octets, frame.length)), valid=bool(frame.valid),
+            number=frame.number, configuration=report.configuration, master=None if report.master < 0 else report.master,
+            watchdog_expired=report.watchdog_expired,
+        )
+
+
+def describe(card: Card) -> str:
+    return f"{type(card).__name__} at address {card.address}"
+
+
+def bus_parameters(baudrate: int) -> Any:
+    """The standard's parameters for a nominal rate (bit/s), or a ConfigurationError that names the rates there are."""
+    parameters = ffi.new("dpm_parameters *")
+    if not isinstance(baudrate, int) or not 0 < baudrate < 1 << 32 or lib.dpm_parameters_default(parameters, baudrate, 0) < 0:
+        rates: list[str] = []
+        while rate := lib.dpm_parameters_rate(len(rates)):
+            rates.append(str(rate))
+        raise ConfigurationError(f"baudrate {baudrate!r}: PROFIBUS has {', '.join(rates)} bit/s")
+    return parameters
+
+
+def slave_config(card: Card) -> Any:
+    """The slave that a card describes."""
+    what = describe(card)
+    if not 0 <= card.address <= 126:
+        raise ConfigurationError(f"{what}: a slave's address is 0 to 126")
+    if not 1 <= len(card.configurations) <= lib.DPM_SLAVE_CONFIGURATIONS:
+        most = lib.DPM_SLAVE_CONFIGURATIONS
+        raise ConfigurationError(f"{what} has {len(card.configurations)} configurations: 1 to {most} fit")
+    config = ffi.new("dpm_slave_config *")
+    config.address, config.ident_number = card.address, card.ident_number
+    config.configurations = len(card.configurations)
+    for index, octets in enumerate(card.configurations):
+        if not 1 <= len(octets) <= lib.DPM_IO_MAX:
+            raise ConfigurationError(f"{what}: configuration {index} has {len(octets)} octets, 1 to {lib.DPM_IO_MAX} fit")
+        config.configuration_length[index] = len(octets)
+        ffi.memmove(config.configuration[index], octets, len(octets))
+    config.user_parameters_min, config.user_parameters_max = card.user_parameters
+    config.fail_safe, config.sync_supported, config.freeze_supported = card.fail_safe, card.sync, card.freeze
+    config.max_diagnosis, config.min_tsdr = card.max_diagnosis, 11
+    return config
+
+
+class Host(ABC):
+    """Cards and the thread of their applications. A sub-class opens what the slaves answer on and closes it."""
+
+    _room: str  # the library's room whose functions carry this host: "dpm_segment" or "dpm_bus"
+
+    def __init__(self) -> None:
+        self._process = Process()
+        self._lock = threading.RLock()  # held while a card steps: attach, reset and steps take turns
+        self._slots: list[Slot] = []
+        self._failures: list[BaseException] = []
+        self._closed = False
+        self._thread: threading.Thread | None = None
+        self._object: Any = None
+
+    # --- what a sub-class does
+
+    @abstractmethod
+    def _add(self, config: Any, outputs: Any, inputs: Any) -> int:
+        """Give a slave to the machine: its index or an error code."""
+
+    @abstractmethod
+    def _shut(self) -> None:
+        """Close the library's object: idempotent, bounded, wakes its waiters."""
+
+    def _call(self, name: str, *arguments: Any) -> int:
+        code: int = getattr(lib, f"{self._room}_{name}")(self._object, *arguments)
+        return code
+
+    def _guard(self) -> None:
+        self._process.guard(f"this {type(self).__name__}")
+        if self._closed:
+            raise ClosedError(f"this {type(self).__name__} is closed")
+
+    # --- cards
+
+    def _attach(self, card: CardT) -> CardT:
+        self._guard()
+        config = slave_config(card)
+        size = lib.dpm_image_size()
+        memory = block(size), block(size)
+        slot = Slot(card, memory, *(lib.dpm_image_init(at, size) for at in memory))
+        with self._lock:
+            if any(other.card.address == card.address for other in self._slots):
+                raise ConfigurationError(f"{describe(card)}: the address is taken here; choose another")
+            slot.step(time.monotonic())  # octets are there before the first request is
+            slot.index = check(self._add(config, slot.outputs, slot.inputs), f"attach {describe(card)}")
+            self._slots.append(slot)
+        return card
+
+    def _slot(self, card: Card) -> Slot:
+        self._guard()
+        for slot in self._slots:
+            if slot.card is card:
+                return slot
+        raise ConfigurationError(f"{describe(card)} is not attached to this {type(self).__name__}")
+
+    def unplug(self, card: Card) -> None:
+        """Pull the bus connector: nothing is answered any more; the card stays powered and its watchdog runs."""
+        check(self._call("slave_connect", self._slot(card).index, False), f"unplug {describe(card)}")
+
+    def plug(self, card: Card) -> None:
+        """Plug the bus connector in again."""
+        slot = self._slot(card)
+        if slot.failed:
+            raise DPError(f"{describe(card)} has failed and stays unplugged; close() tells why")
+        check(self._call("slave_connect", slot.index, True), f"plug in {describe(card)}")
+
+    def reset(self, card: Card) -> None:
+        """Cycle the card's power."""
+        slot = self._slot(card)
+        with self._lock:
+            check(self._call("slave_reset", slot.index), f"reset {describe(card)}")
+            card.reset(time.monotonic())
+            slot.next = 0.0
+
+    def set_diagnosis(self, card: Card, octets: bytes, *, announce: bool = True, ext_diag: bool = False,
+                      static_diag: bool = False) -> None:
+        """Diagnosis behind the six standard octets; `announce` makes the master fetch it."""
+        check(self._call("slave_diagnosis", self._slot(card).index, octets, len(octets), announce, ext_diag, static_diag),
+              f"diagnosis of {describe(card)}", octets=len(octets))
+
+    def set_ready(self, card: Card, ready: bool) -> None:
+        """While not ready the slave says Station_Not_Ready."""
+        check(self._call("slave_ready", self._slot(card).index, ready), f"{describe(card)}")
+
+    def report(self, card: Card) -> SlaveReport:
+        """The DP side of a card, now."""
+        report = ffi.new("dpm_slave_state_report *")
+        check(self._call("slave_get", self._slot(card).index, report), f"report of {describe(card)}")
+        return SlaveReport(
+            address=report.address, state=SlaveState(report.state), master=None if report.master < 0 else report.master,
+            configuration=report.configuration, clear=report.clear, operate_seen=report.operate_seen,
+            watchdog=report.watchdog / NS if report.watchdog_on else None, watchdog_expired=report.watchdog_expired,
+            user_parameters=bytes(report.user_parameters[0 : report.user_parameters_length]), group=report.group,
+            requests=report.requests, answers=report.answers, repetitions=report.repetitions,
+            late_dropped=report.late_dropped, exchanges=report.exchanges,
+        )
+
+    @property
+    def failures(self) -> tuple[BaseException, ...]:
+        """What cards have raised; each such card is unplugged."""
+        return tuple(self._failures)
+
+    def _raise_failure(self) -> None:
+        if self._failures:
+            first = self._failures[0]
+            raise DPError(f"{len(self._failures)} card(s) failed and were unplugged; the first: {first!r}") from first
+
+    def check(self) -> None:
+        """Raise what has gone wrong since the host was opened: DPError when a card failed."""
+        self._guard()
+        self._raise_failure()
+
+    # --- the application thread
+
+    def _begin(self) -> None:
+        """Start the applications; the library's object is there."""
+        # Not a thread that the interpreter waits for: those are joined before atexit, where this one is told to end.
+        self._thread = threading.Thread(target=self._run, name="dpmaster-cards", daemon=True)
+        self._thread.start()
+        atexit.register(self.close)
+
+    def _run(self) -> None:
+        progress, wait = getattr(lib, f"{self._room}_progress"), getattr(lib, f"{self._room}_wait")
+        seen = None
+        while not self._closed:
+            count = progress(self._object)  # before the look: what changes from here on ends the wait at once
+            until = time.monotonic() + IDLE
+            for slot in list(self._slots):
+                until = min(until, self._live(slot, count != seen))
+            seen = count
+            code = wait(self._object, seen, max(1, int((until - time.monotonic()) * NS)))
+            if code not in (lib.DPM_OK, lib.DPM_E_TIMEOUT, lib.DPM_E_INTERRUPTED):
+                if not self._closed:
+                    self._failures.append(error(code, f"the cards of this {type(self).__name__} stopped"))
+                break
+
+    def _live(self, slot: Slot, changed: bool) -> float:
+        """Step one card if it is due or its exchange changed; returns when it wants to live again."""
+        with self._lock:
+            try:
+                exchange = slot.exchange
+                if changed and not slot.failed and self._call("slave_get", slot.index, slot.report) == 0:
+                    exchange = slot.look()
+                now = time.monotonic()
+                if not slot.failed and (exchange != slot.exchange or now >= slot.next):
+                    slot.exchange = exchange
+                    slot.step(now)
+            except Exception as failure:  # a card is anybody's code; the other cards go on
+                self._fail(slot, failure)
+            return float("inf") if slot.failed else slot.next
+
+    def _fail(self, slot: Slot, failure: Exception) -> None:
+        log.exception("%s failed and is unplugged", describe(slot.card))
+        slot.failed = True
+        self._failures.append(failure)
+        self._call("slave_connect", slot.index, False)
+
+    # --- life
+
+    def close(self) -> None:
+        """End the applications and the bus side; idempotent. Raises DPError when a card failed while it was open."""
+        if self._closed or not self._process.here:
+            return
+        self._closed = True
+        atexit.unregister(self.close)
+        self._shut()
+        if self._thread is not None and self._thread is not threading.current_thread():
+            self._thread.join(JOIN)
+            if self._thread.is_alive():
+                log.error("a card's step does not return; its thread is left behind")
+        self._raise_failure()
+
+    def __enter__(self) -> Self:
+        self._guard()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+        try:
+            self.close()
+        except DPError:
+            if value is None:
+                raise
+            # The block's own exception tells more; the card's was logged when it happened.

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: MIT
+"""Emulated cards on somebody else's wire: a serial port, or a port of a segment in another process."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+from dpmaster._core import block, check, ffi, lib
+from dpmaster.emulator.card import Card
+from dpmaster.emulator.host import Host, bus_parameters, describe
+from dpmaster.errors import ConfigurationError, PortError
+
+__all__ = ["Line"]
+
+
+class Line(Host):
+    """Opens `port` at `baudrate` (bit/s) and answers there for `cards`, all of which must be known from the start: the
+    slaves' machine belongs to the bus thread from then on. Raises PortError when the port cannot be opened.
+    """
+
+    _room = "dpm_bus"
+
+    def __init__(self, port: str, *cards: Card, baudrate: int) -> None:
+        super().__init__()
+        if not cards:
+            raise ConfigurationError("cards: a line needs at least one card")
+        self._path = os.fspath(port)
+        parameters = bus_parameters(baudrate)
+        self._open(parameters, getattr(port, "paced", None))
+        try:
+            self._make_slaves(parameters, len(cards))
+            for card in cards:
+                self._attach(card)
+            check(lib.dpm_bus_start_slaves(self._object, self._slaves), "start a line")
+            self._begin()
+        except BaseException:
+            self._closed = True
+            self._shut()
+            raise
+
+    def _open(self, parameters: Any, paced: bool | None) -> None:
+        path = ffi.new("char[]", os.fsencode(self._path))
+        config = ffi.new("dpm_port_config *", {"path": path, "allowance": -1})
+        config.rate_num, config.rate_den = parameters.rate_num, parameters.rate_den
+        config.pace = {None: lib.DPM_PACE_AUTO, False: lib.DPM_PACE_NONE, True: lib.DPM_PACE_BAUD}[paced]
+        size = lib.dpm_bus_size()
+        self._block = block(size)
+        out = ffi.new("dpm_bus **")
+        check(lib.dpm_bus_open(self._block, size, config, out), f"open {self._path}")
+        self._object = out[0]
+
+    def _make_slaves(self, parameters: Any, count: int) -> None:
+        traits = ffi.new("dpm_port_traits *")
+        lib.dpm_bus_get_traits(self._object, traits)
+        size = lib.dpm_slaves_size(count)
+        self._slaves_block = block(size)
+        out = ffi.new("dpm_slaves **")
+        check(lib.dpm_slaves_init(self._slaves_block, size, parameters, traits, count, out), "make slaves")
+        self._slaves = out[0]
+
+    def _add(self, config: Any, outputs: Any, inputs: Any) -> int:
+        code: int = lib.dpm_slaves_add(self._slaves, config, outputs, inputs)
+        return code
+
+    def _shut(self) -> None:
+        lib.dpm_bus_close(self._object)
+
+    def check(self) -> None:
+        """Raise what has gone wrong: DPError when a card failed, PortError when the port has vanished."""
+        super().check()
+        info = ffi.new("dpm_bus_info *")
+        check(lib.dpm_bus_get_info(self._object, info), f"state of {self._path}")
+        if info.port_error:
+            cards = ", ".join(describe(slot.card) for slot in self._slots)
+            text = ffi.string(lib.dpm_strerror(info.port_error)).decode()
+            raise PortError(f"{self._path}: {text}; on it: {cards}", path=self._path, dpm_code=info.port_error)
