@@ -198,7 +198,9 @@ static void read_port(dpm_segment *segment, unsigned source)
     if (!port->clients)
         take_presence(segment); /* it opened the port since the last look */
     ssize_t n = read(port->master, octets, sizeof octets);
-    if (n > 0 && !port->cut)
+    if (n > 0 && port->cut)
+        segment->info.undelivered += (uint64_t)n;
+    else if (n > 0)
         (void)talk(segment, source, dpm_now(), octets, (size_t)n);
     else if (n < 0 && errno != EAGAIN && errno != EINTR)
         segment->polls[POLL_PORTS + source].fd = -1; /* cannot be while we hold both ends; a loop would be worse */

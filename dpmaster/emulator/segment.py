@@ -46,7 +46,7 @@ class SegmentInfo:
     faults: int
     """Octets or transmissions touched by faults."""
     undelivered: int
-    """Octets lost since a port's reader did not fetch them."""
+    """Octets lost: a port's reader did not fetch them in time, or their wire was cut."""
     deliveries: int
     late_max: float
     """Paced: how long after its due time a delivery came, at most and in the mean."""

@@ -36,7 +36,7 @@ typedef struct dpm_segment_info {
     uint64_t octets;
     uint64_t collisions;       /* paced: transmissions that overlapped another */
     uint64_t faults;           /* octets or transmissions touched by faults */
-    uint64_t undelivered;      /* octets a port's reader did not fetch in time and lost */
+    uint64_t undelivered;      /* octets lost: a port's reader did not fetch them in time, or their wire was cut */
     int64_t late_max;          /* paced: ns a delivery came after its due time */
     int64_t late_sum;
     uint64_t deliveries;
