@@ -464,3 +464,98 @@ def test_signals_are_left_to_the_program() -> None:
                  for line in (path / "status").read_text().splitlines() if line.startswith("SigBlk")}
         hub = [mask for mask in masks.values() if mask & (1 << (signal.SIGTERM - 1)) and mask & (1 << (signal.SIGINT - 1))]
         assert len(hub) == 1 and len(masks) >= 3 and threading.active_count() == 2
+
+
+# --- the commands, as real processes
+
+
+class Command:
+    """A running ``dpmaster`` command."""
+
+    def __init__(self, *arguments: object) -> None:
+        self.process = subprocess.Popen([sys.executable, "-m", "dpmaster", *map(str, arguments)], stdout=subprocess.PIPE,
+                                        stderr=subprocess.PIPE, text=True)
+
+    def line(self) -> str:
+        assert self.process.stdout is not None
+        return self.process.stdout.readline().rstrip("\n")
+
+    def end(self, number: signal.Signals) -> tuple[int, str, str]:
+        self.process.send_signal(number)
+        out, error = self.process.communicate(timeout=20)
+        return self.process.returncode, out, error
+
+
+@pytest.fixture
+def run() -> Iterator[Callable[..., Command]]:
+    commands: list[Command] = []
+
+    def started(*arguments: object) -> Command:
+        commands.append(Command(*arguments))
+        return commands[-1]
+
+    yield started
+    for command in commands:
+        if command.process.poll() is None:
+            command.process.kill()
+        command.process.communicate()
+
+
+def answers(client: Client) -> None:
+    """FDL status until the card is there: it may join the wire a moment after its command says so."""
+    deadline = time.monotonic() + PATIENCE
+    while True:
+        client.write(FDL_STATUS)
+        if select.select([client.fd], [], [], 0.2)[0]:
+            assert client.read(6) == FDL_STATUS_ANSWER
+            return
+        assert time.monotonic() < deadline, "no answer"
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_emulate_on_a_pty_of_its_own(number: signal.Signals, tmp_path: Path, run: Callable[..., Command],
+                                     open_port: Callable[..., Client]) -> None:
+    link = tmp_path / "drive"
+    command = run("emulate", "si-p1", "--address", 5, "--link", link)
+    path = command.line()
+    assert os.readlink(link) == path and path.startswith("/dev/pts/")
+    answers(open_port(str(link)))
+    assert command.end(number) == (0, "", "")
+    assert not link.is_symlink()
+
+
+def test_segment_and_a_card_on_one_of_its_ports(tmp_path: Path, run: Callable[..., Command],
+                                                open_port: Callable[..., Client]) -> None:
+    folder = tmp_path / "wire"
+    segment = run("segment", "--ports", 3, "--link", folder)
+    for number in range(3):
+        link = folder / f"p{number}"
+        assert segment.line() == f"{link} -> {os.readlink(link)}"
+    card = run("emulate", "si-p1", "--address", 5, "--on", folder / "p2", "--parameters", "factory")
+    assert card.line() == str(folder / "p2")
+    answers(open_port(str(folder / "p0")))
+    assert card.end(signal.SIGTERM) == (0, "", "")
+    card = run("emulate", "si-p1", "--address", 5, "--on", folder / "p2")
+    card.line()
+    assert segment.end(signal.SIGTERM) == (0, "", "")
+    assert not folder.exists()
+    out, error = card.process.communicate(timeout=20)
+    assert (card.process.returncode, out) == (1, "") and error.count("\n") == 1 and str(folder / "p2") in error
+
+
+def test_a_link_that_is_there_already_is_left_alone(tmp_path: Path, run: Callable[..., Command]) -> None:
+    link = tmp_path / "drive"
+    link.write_text("mine")
+    command = run("emulate", "si-p1", "--address", 5, "--link", link)
+    out, error = command.process.communicate(timeout=20)
+    assert (command.process.returncode, out) == (1, "")
+    assert error == f"dpmaster emulate: --link {link}: it exists; remove it or name another\n"
+    assert link.read_text() == "mine"
+
+
+def test_a_link_that_a_killed_command_left_is_replaced(tmp_path: Path, run: Callable[..., Command]) -> None:
+    link = tmp_path / "drive"
+    link.symlink_to("/dev/pts/of-a-dead-one")
+    command = run("emulate", "si-p1", "--address", 5, "--link", link)
+    assert command.line() == os.readlink(link)
+    assert command.end(signal.SIGTERM)[0] == 0

@@ -7,7 +7,7 @@ import argparse
 from contextlib import ExitStack
 from pathlib import Path
 
-from dpmaster.cli import links
+from dpmaster.cli import _links as links
 from dpmaster.emulator import Card, Line, Segment
 from dpmaster.emulator.cards import SIP1
 

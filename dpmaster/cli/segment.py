@@ -8,7 +8,7 @@ import os
 from contextlib import ExitStack
 from pathlib import Path
 
-from dpmaster.cli import links
+from dpmaster.cli import _links as links
 from dpmaster.emulator import Segment
 
 NAME = "segment"

@@ -283,8 +283,8 @@ class Host(ABC):
     def _fail(self, slot: Slot, failure: Exception) -> None:
         log.exception("%s failed and is unplugged", describe(slot.card))
         slot.failed = True
-        self._failures.append(failure)
         self._call("slave_connect", slot.index, False)
+        self._failures.append(failure)  # last: who sees it finds the slave unplugged
 
     # --- life
 
