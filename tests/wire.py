@@ -76,7 +76,8 @@ class Master:
                  allowance: int = 0, granularity: int = 0, cycle_time: int = 0, output_watchdog: int = 0,
                  control_interval: int = 400 * MS) -> None:
         config = ffi.new("dpm_master_config *")
-        config.station.parameters = (parameters or default_parameters(rate))[0]
+        self.parameters = parameters or default_parameters(rate)
+        config.station.parameters = self.parameters[0]
         config.station.address = address
         config.station.traits.allowance = allowance
         config.station.traits.granularity = granularity
@@ -84,7 +85,6 @@ class Master:
         config.cycle_time = cycle_time
         config.output_watchdog = output_watchdog
         config.control_interval = control_interval
-        self.parameters = config.station.parameters
         size = lib.dpm_master_size(slaves)
         self._block = block(size)
         out = ffi.new("dpm_master **")
@@ -96,6 +96,7 @@ class Master:
             self.ring = lib.dpm_ring_init(self.ring_block, lib.dpm_ring_size(1024), 1024)
             lib.dpm_station_add_ring(lib.dpm_master_station(self.master), self.ring)
         self.images: list[tuple[Any, Any, Any, Any]] = []
+        self._requests: list[Any] = []
 
     def add(self, address: int, ident: int, configuration: bytes, user: bytes = b"", *, watchdog: tuple[int, int] = (0, 0),
             **fields: Any) -> int:
@@ -128,6 +129,15 @@ class Master:
         number = int(lib.dpm_outputs_commit(self.images[index][0], offset, data, len(data), now))
         lib.dpm_master_feed(self.master, now, lib.DPM_FED_COMMIT)
         return number
+
+    def request(self, address: int, function: int, data: bytes = b"", dsap: int = -1, ssap: int = -1) -> Any:
+        """Queue a raw request; it lives as long as this object, as the core demands."""
+        request = ffi.new("dpm_raw *")
+        self._requests.append(request)
+        request.da, request.function, request.dsap, request.ssap, request.length = address, function, dsap, ssap, len(data)
+        request.data[0 : len(data)] = data
+        assert lib.dpm_master_request(self.master, request) == 0
+        return request
 
     def was_sent(self, index: int, number: int) -> int:
         return int(lib.dpm_outputs_was_sent(self.images[index][0], number))

@@ -160,11 +160,16 @@ static bool mirrors_saps(const dpm_station *st, const dpm_telegram *t)
     return (t->dsap == st->ssap && t->ssap == st->dsap) || t->format == DPM_SD1;
 }
 
+static bool awaits_answer(const dpm_station *st)
+{
+    return st->state == DPM_FDL_AWAIT_DATA_RESPONSE && st->tx_kind == DPM_TX_NONE;
+}
+
 /* Whether a response or SC belongs to the exchange under way; else it belongs to nobody: late, doubled, foreign. */
 static bool is_answer(const dpm_station *st, const dpm_received *rx)
 {
     const dpm_telegram *t = &rx->telegram;
-    if (st->state != DPM_FDL_AWAIT_DATA_RESPONSE || st->tx_kind != DPM_TX_NONE || rx->end_latest <= st->tx_end_earliest)
+    if (!awaits_answer(st) || rx->end_latest <= st->tx_end_earliest)
         return false;
     if (t->format == DPM_SC)
         return counts_frames(st->function);
@@ -178,7 +183,11 @@ static void receive(dpm_station *st, const dpm_received *rx)
     const bool request = !token && t->format != DPM_SC && (t->fc & DPM_FC_REQUEST);
     if (st->state == DPM_FDL_OFFLINE)
         return;
-    if ((token || request) && t->sa != st->config.address) {
+    if (token && t->sa != st->config.address && awaits_answer(st)) {
+        /* SD4 has no check sequence: three octets of noise before an answer can look like one. If it was a token, no
+         * answer comes, and the end of the slot says so. */
+        st->suspect = t->sa;
+    } else if ((token || request) && t->sa != st->config.address) {
         heard_foreign(st, t->sa, rx->end_latest);
         if (request && t->da == st->config.address && !is_sdn(FC_CODE(t->fc)))
             reply(st, rx);
@@ -221,6 +230,10 @@ static bool slot_is_over(const dpm_station *st, int64_t until)
 
 static void slot_ran_out(dpm_station *st, int64_t until)
 {
+    if (st->suspect >= 0) {
+        heard_foreign(st, (uint8_t)st->suspect, until);
+        return;
+    }
     if (st->tries > st->retries) {
         finish_unanswered(st, until, DPM_CONF_NA);
         return;
@@ -241,7 +254,7 @@ static void station_quiet(dpm_machine *machine, int64_t until)
         st->claims = 2;
         enter(st, DPM_FDL_CLAIM_TOKEN, until);
     }
-    if (st->state == DPM_FDL_AWAIT_DATA_RESPONSE && st->tx_kind == DPM_TX_NONE && slot_is_over(st, until))
+    if (awaits_answer(st) && slot_is_over(st, until))
         slot_ran_out(st, until);
 }
 
@@ -272,6 +285,7 @@ static void request_sent(dpm_station *st)
     st->statistics.requests += st->tries == 1;
     st->statistics.repetitions += st->tries > 1;
     st->heard = -1;
+    st->suspect = -1;
     st->deadline = st->tx_end_latest + st->tsl + st->config.traits.allowance;
     st->state = DPM_FDL_AWAIT_DATA_RESPONSE;
 }
@@ -395,8 +409,7 @@ static int64_t silence_at(const dpm_station *st)
  * An answer still awaited is judged by its slot, not here. */
 static void drop_stale_token(dpm_station *st, int64_t now)
 {
-    const bool waiting = st->state == DPM_FDL_AWAIT_DATA_RESPONSE && st->tx_kind == DPM_TX_NONE;
-    if (!in_ring(st->state) || waiting || now <= right_ends(st))
+    if (!in_ring(st->state) || awaits_answer(st) || now <= right_ends(st))
         return;
     st->statistics.tokens_lost++;
     st->statistics.late_dropped += st->tx_kind != DPM_TX_NONE;

@@ -45,6 +45,7 @@ struct dpm_station {
     uint8_t da, function, tries, retries;
     int16_t dsap, ssap;
     int64_t deadline;      /* slot time over, allowance included */
+    int16_t suspect;       /* sender of what looked like a token in the slot, -1 none */
     int64_t heard;         /* latest octet since the request went out, -1 none */
 
     int16_t foreign;       /* the foreign master heard last, -1 none */
