@@ -101,6 +101,7 @@ void dpm_slave_lose(dpm_master *master, dpm_slave *slave, int64_t now, uint8_t r
     if (slave->state == DPM_ST_OFFLINE || slave->state == DPM_ST_INACTIVE)
         return;
     fall_back(master, slave, now, DPM_ST_OFFLINE, reason, detail);
+    dpm_station_restart(&master->station, slave->set.address);
     slave->tries = 0;
     slave->diagnosis[0] |= NON_EXISTENT;
 }
@@ -205,10 +206,17 @@ void dpm_slave_request(dpm_master *master, dpm_slave *slave, int64_t now, dpm_re
 
 /* --- answers ------------------------------------------------------------------------------------------------------ */
 
-static bool is_positive(const dpm_confirm *c)
+static bool is_refusal(const dpm_confirm *c)
 {
     const uint8_t code = c->fc & 0x0F;
-    return c->short_ack || code == DPM_RES_OK || code == DPM_RES_DL || code == DPM_RES_DH || code == DPM_RES_NR;
+    return code == DPM_RES_UE || code == DPM_RES_RR || code == DPM_RES_RS;
+}
+
+/* Set_Prm and Chk_Cfg are acknowledged by SC; OK and NR say the same. */
+static bool is_acknowledge(const dpm_confirm *c)
+{
+    const uint8_t code = c->fc & 0x0F;
+    return c->short_ack || code == DPM_RES_OK || code == DPM_RES_NR;
 }
 
 static void keep_diagnosis(dpm_master *m, dpm_slave *slave, int64_t now, const dpm_confirm *c)
@@ -377,24 +385,17 @@ static void confirm_answer(dpm_master *m, dpm_slave *slave, int64_t now, const d
         invalid_answer(m, slave, now, c);
         return;
     }
-    if (!is_positive(c)) {
+    if (is_refusal(c)) {
         slave->statistics.refused++;
         refused(m, slave, now, DPM_WHY_SERVICE, c->fc);
-        return;
-    }
-    switch (slave->asked) {
-    case DPM_ASK_DIAG:
+    } else if (slave->asked == DPM_ASK_DIAG) {
         confirm_diagnosis(m, slave, now, c);
-        break;
-    case DPM_ASK_PRM:
-        enter(m, slave, now, DPM_ST_CFG);
-        break;
-    case DPM_ASK_CFG:
-        enter(m, slave, now, DPM_ST_DIAG2);
-        break;
-    default:
+    } else if (slave->asked == DPM_ASK_DATA) {
         confirm_data(m, slave, now, c);
-        break;
+    } else if (is_acknowledge(c)) {
+        enter(m, slave, now, slave->asked == DPM_ASK_PRM ? DPM_ST_CFG : DPM_ST_DIAG2);
+    } else {
+        invalid_answer(m, slave, now, c);
     }
 }
 

@@ -1,0 +1,683 @@
+# SPDX-License-Identifier: MIT
+"""The DP master class 1, one event at a time: start-up as an S7 does it, the way back from every state, outputs that are safe.
+
+Golden octets: captures of protocol page B.4; station 8 is the Festo valve terminal of rows 17 to 23 (ident 0A35, two octets
+of output, no input) unless a test says otherwise. The master's address is 2.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+from wire import MS, Master, S, Script, default_parameters, lib, octets
+
+DIAG_REQUEST = octets("68 05 05 68 88 82 6D 3C 3E F1 16")  # 17
+FREE = octets("68 0B 0B 68 82 88 08 3E 3C 02 05 00 FF 0A 35 D1 16")  # 18
+SET_PRM = octets("68 13 13 68 88 82 5D 3D 3E B8 1E 01 00 0A 35 01 00 00 00 82 00 00 00 7B 16")  # 19
+CHK_CFG = octets("68 06 06 68 88 82 7D 3E 3E 21 24 16")  # 20
+READY = octets("68 0B 0B 68 82 88 08 3E 3C 00 0C 00 02 0A 35 D9 16")  # 22
+RS = octets("10 02 08 03 0D 16")  # 23
+SC = octets("E5")
+OPERATE = octets("68 07 07 68 FF 82 46 3A 3E 00 00 3F 16")  # 52
+CLEAR = octets("68 07 07 68 FF 82 46 3A 3E 02 00 41 16")  # 51
+
+
+def frame(fc: int, data: bytes, *, da: int = 2, sa: int = 8, saps: bytes = b"") -> bytes:
+    """An SD2 made by hand: address, control, data, sum."""
+    body = bytes([da | (0x80 if saps else 0), sa | (0x80 if saps else 0), fc]) + saps + data
+    return bytes([0x68, len(body), len(body), 0x68]) + body + bytes([sum(body) & 0xFF, 0x16])
+
+
+def diagnosis(*six: int, extended: bytes = b"", sa: int = 8) -> bytes:
+    return frame(0x08, bytes(six) + extended, sa=sa, saps=b"\x3e\x3c")
+
+
+class Bus:
+    """A master in Clear or Operate with the Festo at 8, played by hand: `auto` answers what a test does not care about."""
+
+    def __init__(self, *, configuration: str = "21", mode: int | None = None, ident: int = 0x0A35, slave=None, **options):
+        self.master = Master(500_000, address=2, **options)
+        given = {"min_tsdr": 0, "group": 1, "station_status": 0x30, "watchdog": (0x1E, 1)} | (slave or {})
+        self.index = self.master.add(8, ident, octets(configuration), octets("00 00 00 82 00 00 00"), **given)
+        assert self.index == 0
+        self.master.mode(lib.DPM_MODE_CLEAR if mode is None else mode)
+        self.script = Script(self.master.machine, self.master.parameters)
+
+    def next(self, **options) -> bytes:
+        """The next telegram that is not Global_Control."""
+        while True:
+            telegram = self.script.next(**options)
+            if telegram[6:9] != b"\x46\x3a\x3e":
+                return telegram
+
+    @staticmethod
+    def is_exchange(telegram: bytes) -> bool:
+        """A request to station 8 without SAPs: SD2 with outputs, SD1 without."""
+        return telegram[4 if telegram[0] == 0x68 else 1] == 8
+
+    def start(self, answer: bytes = SC) -> None:
+        """Into Data_Exchange, whose first request `answer` answers."""
+        assert self.next()[7] == 0x3C
+        self.script.answer(FREE)
+        assert self.next()[7] == 0x3D
+        self.script.answer(SC)
+        assert self.next()[7] == 0x3E
+        self.script.answer(SC)
+        assert self.next()[7] == 0x3C
+        self.script.answer(READY)
+        assert self.is_exchange(self.next())
+        self.script.answer(answer)
+        assert self.state == lib.DPM_ST_DATA
+
+    def exchange(self, answer: bytes = SC) -> bytes:
+        """One Data_Exchange: the telegram, answered."""
+        telegram = self.next()
+        assert self.is_exchange(telegram), telegram.hex(" ")
+        self.script.answer(answer)
+        return telegram
+
+    @property
+    def slave(self):
+        return self.master.slave(self.index)
+
+    @property
+    def state(self) -> int:
+        return self.slave.state
+
+
+# --- start-up -------------------------------------------------------------------------------------------------------
+
+
+def test_start_up_is_the_s7s_octet_for_octet():
+    """Order and octets of a real master for the same slave parameters: Global_Control Clear, then rows 17 to 22."""
+    bus = Bus()
+    script = bus.script
+    assert script.next() == CLEAR
+    assert script.next() == DIAG_REQUEST
+    script.answer(FREE)
+    assert script.next() == SET_PRM
+    script.answer(SC)
+    assert script.next() == CHK_CFG
+    script.answer(SC)
+    assert script.next() == octets("68 05 05 68 88 82 5D 3C 3E E1 16")  # 21
+    script.answer(READY)
+    assert script.next() == frame(0x7D, b"\0\0", da=8, sa=2)  # zeros in Clear
+    script.answer(SC)
+    assert bus.state == lib.DPM_ST_DATA
+    bus.master.mode(lib.DPM_MODE_OPERATE, script.now)
+    assert script.next() == OPERATE
+
+
+def test_states_and_events_on_the_way():
+    bus = Bus()
+    bus.start()
+    states = [(e.b, e.a) for e in bus.master.events() if e.kind == lib.DPM_EV_STATE]
+    assert states == [(lib.DPM_ST_OFFLINE, lib.DPM_ST_PRM), (lib.DPM_ST_PRM, lib.DPM_ST_CFG),
+                      (lib.DPM_ST_CFG, lib.DPM_ST_DIAG2), (lib.DPM_ST_DIAG2, lib.DPM_ST_DATA)]
+
+
+def test_set_prm_without_watchdog_and_user_parameters():
+    """B.4 #25 (Lake Shore 240, address 10, ident 0F84): Lock only, factors 01 01, one user octet 01."""
+    master = Master(500_000, address=2)
+    master.add(10, 0x0F84, b"\x21", b"\x01", min_tsdr=0)
+    master.mode(lib.DPM_MODE_CLEAR)
+    script = Script(master.machine, master.parameters)
+    script.next()
+    assert script.next()[4] == 0x8A
+    script.answer("68 0B 0B 68 82 8A 08 3E 3C 06 05 00 FF 0F 84 2B 16")  # 24: an old Cfg_Fault does not count
+    assert script.next() == octets("68 0C 0C 68 8A 82 5D 3D 3E 80 01 01 00 0F 84 01 FA 16".replace("0F 84 01", "0F 84 00")
+                                   .replace("68 0C 0C", "68 0D 0D").replace("00 FA 16", "00 01 FA 16"))
+
+
+@pytest.mark.parametrize("answer, reason, detail", [
+    (diagnosis(0x02, 0x05, 0, 0xFF, 0x00, 0xCA), "IDENT", 0x00CA),
+    (diagnosis(0x00, 0x0C, 0, 0x07, 0x0A, 0x35), "LOCKED", 7),
+])
+def test_a_wrong_device_or_anothers_slave_is_never_parameterised(answer, reason, detail):
+    """peers.md: "ident never compared"; lock by another master: whose."""
+    bus = Bus()
+    for _ in range(6):
+        assert bus.next()[7] == 0x3C, "Slave_Diag and nothing else"
+        bus.script.answer(answer)
+    assert bus.slave.reason == getattr(lib, f"DPM_WHY_{reason}") and bus.slave.detail == detail
+    assert bool(bus.slave.diagnosis[0] & 0x80) == (reason == "LOCKED"), "Master_Lock is the master's own bit"
+    faults = [e for e in bus.master.events() if e.kind == lib.DPM_EV_FAULT]
+    assert len(faults) == 1, "told once, not with every try"
+    bus.next()
+    bus.script.answer(FREE)
+    assert bus.next()[7] == 0x3D, "free again"
+
+
+@pytest.mark.parametrize("status, reason", [
+    ((0x42, 0x05, 0, 0xFF, 0x0A, 0x35), "PRM_FAULT"),  # B.4 #64
+    ((0x06, 0x05, 0, 0x02, 0x0A, 0x35), "CFG_FAULT"),  # B.4 #65
+    ((0x52, 0x05, 0, 0xFF, 0x0A, 0x35), "NOT_SUPPORTED"),
+    ((0x02, 0x05, 0, 0xFF, 0x0A, 0x35), "PRM_REQ"),
+    ((0x00, 0x0C, 0, 0x05, 0x0A, 0x35), "LOCKED"),
+])
+def test_a_refusal_is_named_and_tried_again_with_growing_pauses(status, reason):
+    """peers.md: "bad parameters loop for ever"."""
+    bus = Bus()
+    times = []
+    for _ in range(11):
+        while bus.next()[7] == 0x3C and bus.state != lib.DPM_ST_DIAG2:
+            bus.script.answer(FREE)
+        times.append(bus.script.now)
+        assert bus.script.last.octets[7] == 0x3D
+        bus.script.answer(SC)
+        assert bus.next()[7] == 0x3E
+        bus.script.answer(SC)
+        assert bus.next()[7] == 0x3C
+        bus.script.answer(diagnosis(*status))
+        assert bus.slave.reason == getattr(lib, f"DPM_WHY_{reason}")
+        assert bus.state == lib.DPM_ST_DIAG1
+    pauses = [b - a for a, b in pairwise(times)]
+    assert pauses == sorted(pauses) and pauses[-1] > 1 * S and pauses[0] < 20 * MS
+
+
+@pytest.mark.parametrize("status, reason", [((0x02, 0x0C, 0, 2, 0x0A, 0x35), "NOT_READY"),
+                                            ((0x00, 0x0E, 0, 2, 0x0A, 0x35), "STATIC_DIAG")])  # B.4 #11, #32
+def test_a_slave_that_is_not_ready_is_asked_until_it_is(status, reason):
+    """"A slave may need seconds between Chk_Cfg and ready"; Stat_Diag kept for several diagnoses (traces)."""
+    bus = Bus()
+    for answer in (FREE, SC, SC):
+        bus.next()
+        bus.script.answer(answer)
+    for _ in range(50):
+        assert bus.next()[7] == 0x3C
+        bus.script.answer(diagnosis(*status))
+        assert bus.state == lib.DPM_ST_DIAG2 and bus.slave.reason == getattr(lib, f"DPM_WHY_{reason}")
+    bus.next()
+    bus.script.answer(READY)
+    assert bus.next()[4] == 8
+
+
+def test_a_prm_fault_shown_in_one_diagnosis_only_is_still_a_refusal():
+    """A soft slave shows Prm_Fault once and a clean diagnosis afterwards (traces/README)."""
+    bus = Bus()
+    for answer in (FREE, SC, SC):
+        bus.next()
+        bus.script.answer(answer)
+    bus.next()
+    bus.script.answer(diagnosis(0x42, 0x05, 0, 0xFF, 0x0A, 0x35))
+    assert bus.slave.reason == lib.DPM_WHY_PRM_FAULT
+    bus.next()
+    bus.script.answer(FREE)
+    assert bus.slave.reason == lib.DPM_WHY_PRM_FAULT, "the reason stays until it is in Data_Exchange"
+    assert bus.next()[7] == 0x3D
+
+
+def test_silence_instead_of_sc_names_the_step():
+    """A soft slave answers a Set_Prm that it refuses with silence (traces/README)."""
+    bus = Bus()
+    bus.next()
+    bus.script.answer(FREE)
+    assert bus.next()[7] == 0x3D
+    assert bus.next()[7] == 0x3D, "repeated once"
+    assert bus.next()[6] == 0x6D, "first contact again"
+    assert bus.slave.reason == lib.DPM_WHY_NO_ANSWER and bus.slave.detail == lib.DPM_ST_PRM
+    assert bus.slave.diagnosis[0] & 0x01, "Station_Non_Existent is the master's own bit"
+
+
+def test_the_always_one_bit_may_be_missing():
+    """traces/README: "the always-1 bit missing"."""
+    bus = Bus()
+    for answer in (diagnosis(0x02, 0x01, 0, 0xFF, 0x0A, 0x35), SC, SC, diagnosis(0, 0x08, 0, 2, 0x0A, 0x35)):
+        bus.next()
+        bus.script.answer(answer)
+    assert bus.state == lib.DPM_ST_DATA
+
+
+@pytest.mark.parametrize("code", [1, 2, 3])
+@pytest.mark.parametrize("step", [1, 2, 3])
+def test_rs_ue_rr_at_each_step_lead_back_to_slave_diag(code, step):
+    """RS before Set_Prm, and anywhere else; "RS from a slave ends the program" (peers.md)."""
+    bus = Bus()
+    for answer in (FREE, SC, SC)[:step]:
+        bus.next()
+        bus.script.answer(answer)
+    bus.next()
+    bus.script.answer(bytes([0x10, 2, 8, code, 10 + code, 0x16]))
+    assert bus.state == lib.DPM_ST_DIAG1
+    assert (bus.slave.reason, bus.slave.detail) == (lib.DPM_WHY_SERVICE, code)
+    assert bus.next()[7] == 0x3C
+
+
+@pytest.mark.parametrize("tsdr", [6, 11, 60, 90])
+def test_answers_from_6_to_90_bits_after_the_request(tsdr):
+    """traces/README, last demand."""
+    bus = Bus()
+    for answer in (FREE, SC, SC, READY, SC):
+        bus.next()
+        bus.script.answer(answer, tsdr=tsdr)
+    assert bus.state == lib.DPM_ST_DATA
+    for _ in range(20):
+        bus.next()
+        bus.script.answer(SC, tsdr=tsdr)
+    assert bus.slave.statistics.repetitions == 0
+    assert bus.slave.statistics.tsdr_max == pytest.approx(tsdr * 2000, abs=10)
+
+
+def test_an_sc_acknowledges_nobody_else():
+    """peers.md: "Any SC acknowledges every slave: with 2 slaves one never gets its Chk_Cfg"."""
+    master = Master(500_000, address=2)
+    for address in (8, 9):
+        master.add(address, 0x0A35, b"\x21")
+    master.mode(lib.DPM_MODE_CLEAR)
+    script = Script(master.machine, master.parameters)
+    seen: dict[int, list[int]] = {8: [], 9: []}
+    while min(map(len, seen.values())) < 5:
+        telegram = script.next()
+        address = telegram[4] & 0x7F
+        if address == 0x7F:
+            continue
+        sap = telegram[7] if telegram[4] & 0x80 else 0
+        seen[address].append(sap)
+        ready = 62 in seen[address]
+        script.answer(diagnosis(*((0, 0x0C, 0, 2) if ready else (2, 5, 0, 255)), 0x0A, 0x35, sa=address) if sap == 60 else SC)
+    assert [saps[:5] for saps in seen.values()] == [[60, 61, 62, 60, 0]] * 2
+
+
+# --- Data_Exchange -------------------------------------------------------------------------------------------------
+
+
+def test_outputs_of_one_commit_and_inputs_of_one_telegram():
+    """B.4 #41/#42: four octets out, four in."""
+    bus = Bus(configuration="F1")
+    bus.start(octets("68 07 07 68 02 08 08 00 00 00 00 12 16"))
+    bus.master.mode(lib.DPM_MODE_OPERATE, bus.script.now)
+    number = bus.master.commit(0, octets("04 7F 00 00"), bus.script.now)
+    assert bus.master.was_sent(0, number) == 0
+    telegram = bus.next()
+    assert telegram[7:11] == octets("04 7F 00 00")
+    bus.script.answer("68 07 07 68 02 08 08 02 37 00 00 4B 16")  # 42
+    assert bus.master.was_sent(0, number) == 1
+    inputs = bus.master.inputs(0)
+    assert bytes(inputs.octets[0:4]) == octets("02 37 00 00") and inputs.valid and inputs.time == bus.script.now
+
+
+def test_an_output_only_slave_takes_every_telegram():
+    """peers.md: "FCB does not toggle when Data_Exchange is answered by SC: an output-only slave takes the first of 380"."""
+    bus = Bus()
+    bus.start()
+    assert [bus.exchange()[6] for _ in range(6)] == [0x5D, 0x7D] * 3
+
+
+def test_an_input_only_slave_is_asked_with_sd1():
+    """peers.md: "sensors (no outputs) refused". B.4 #44 is the request."""
+    bus = Bus(configuration="11")
+    bus.start(frame(0x08, b"\x12\x34"))
+    bus.script.now += 1
+    telegrams = {bus.exchange(frame(0x08, b"\x12\x34")) for _ in range(2)}
+    assert octets("10 08 02 7D 87 16") in telegrams
+    assert bytes(bus.master.inputs(0).octets[0:2]) == b"\x12\x34"
+
+
+def test_eight_octets_go_out_as_sd2():
+    """peers.md: "8 octets go out as SD3; slaves without SD3 are never reached". B.4 #47."""
+    bus = Bus(configuration="27")
+    bus.start()
+    bus.master.mode(lib.DPM_MODE_OPERATE, bus.script.now)
+    bus.master.commit(0, bytes(range(1, 9)), bus.script.now)
+    assert bus.exchange() == octets("68 0B 0B 68 08 02 5D 01 02 03 04 05 06 07 08 8B 16")
+
+
+def test_a_retry_carries_the_old_outputs_and_the_new_ones_follow():
+    """peers.md: "A retry has the same FCB and NEW data: those outputs are lost"."""
+    bus = Bus()
+    bus.start()
+    bus.master.mode(lib.DPM_MODE_OPERATE, bus.script.now)
+    first = bus.master.commit(0, b"\x11\x11", bus.script.now)
+    tried = bus.next()
+    second = bus.master.commit(0, b"\x22\x22", bus.script.now)
+    assert bus.next() == tried
+    bus.script.answer(SC)
+    assert (bus.master.was_sent(0, first), bus.master.was_sent(0, second)) == (1, 0)
+    assert bus.exchange()[7:9] == b"\x22\x22"
+    assert bus.master.was_sent(0, second) == 1
+
+
+def test_dh_means_fetch_the_diagnosis_next_and_the_data_count():
+    """traces: "the next request to that slave is Slave_Diag, then the exchange goes on; the data in the DH answer count"."""
+    bus = Bus(configuration="F1")
+    bus.start(frame(0x08, bytes(4)))
+    bus.exchange(octets("68 07 07 68 02 08 0A 02 37 00 00 4D 16"))  # 43
+    assert bytes(bus.master.inputs(0).octets[0:4]) == octets("02 37 00 00")
+    assert bus.next()[7] == 0x3C
+    bus.script.answer(diagnosis(0x08, 0x0C, 0, 2, 0x0A, 0x35, extended=octets("42 01")))
+    assert bus.state == lib.DPM_ST_DATA and bytes(bus.slave.diagnosis[0:8]) == octets("08 0C 00 02 0A 35 42 01")
+    assert bus.next()[4] == 8, "the exchange goes on"
+
+
+def test_an_output_only_slave_announces_diagnosis_without_data():
+    """Protocol page I.2: SD1 with FC 0A, or a dummy octet; accept all."""
+    for answer in (octets("10 02 08 0A 14 16"), frame(0x0A, b"\0")):
+        bus = Bus()
+        bus.start()
+        bus.exchange(answer)
+        assert bus.next()[7] == 0x3C
+
+
+def test_an_empty_sd2_is_an_answer_without_data():
+    """traces/README: "empty SD2 answers (LE = 3)"."""
+    bus = Bus()
+    bus.start()
+    bus.exchange(octets("68 03 03 68 02 08 08 12 16"))
+    assert bus.state == lib.DPM_ST_DATA and bus.slave.statistics.exchanges == 2
+
+
+def test_static_diagnosis_in_data_exchange_is_read_until_it_is_gone():
+    bus = Bus()
+    bus.start()
+    bus.exchange(octets("10 02 08 0A 14 16"))
+    for _ in range(4):
+        assert bus.next()[7] == 0x3C
+        bus.script.answer(diagnosis(0x00, 0x0E, 0, 2, 0x0A, 0x35))
+    assert bus.next()[7] == 0x3C
+    bus.script.answer(READY)
+    assert bus.next()[4] == 8
+
+
+@pytest.mark.parametrize("answer", [
+    frame(0x08, b"\1\2\3"), frame(0x08, b"\1\2\3\4\5"), SC, octets("10 02 08 09 13 16"),
+    frame(0x0C, b"\1\2\3\4"), frame(0x0D, b"\1\2\3\4"),
+    frame(0x08, b"\1\2\3\4", saps=b"\x3e\x3c"),
+], ids=["short", "long", "SC", "NR", "RDL", "RDH", "with SAPs"])
+def test_an_answer_that_does_not_fit_is_invalid_and_changes_no_input(answer):
+    """traces/README: "an answer of another length or with SAPs to a Data_Exchange"; J.2: Invalid_Slave_Response."""
+    bus = Bus(configuration="F1")
+    bus.start(frame(0x08, b"\xAA\xBB\xCC\xDD"))
+    bus.exchange(answer)
+    assert bus.state == lib.DPM_ST_DIAG1 and bus.slave.reason == lib.DPM_WHY_INVALID_ANSWER
+    assert bus.slave.diagnosis[0] & 0x20 and bus.slave.statistics.invalid == 1
+    inputs = bus.master.inputs(0)
+    assert bytes(inputs.octets[0:4]) == b"\xAA\xBB\xCC\xDD" and not inputs.valid
+
+
+@pytest.mark.parametrize("status", [(0x02, 0x05, 0, 0xFF), (0x42, 0x05, 0, 0xFF), (0x06, 0x05, 0, 2), (0x00, 0x0C, 0, 9)])
+def test_a_diagnosis_that_wants_parameters_ends_the_exchange(status):
+    bus = Bus()
+    bus.start()
+    bus.exchange(octets("10 02 08 0A 14 16"))
+    bus.next()
+    bus.script.answer(diagnosis(*status, 0x0A, 0x35))
+    assert bus.state == lib.DPM_ST_DIAG1 and bus.slave.statistics.losses == 1
+
+
+# --- loss and return ------------------------------------------------------------------------------------------------
+
+
+def lose(bus: Bus) -> None:
+    """No answer, repeated once, no answer."""
+    bus.next()
+    bus.next()
+    bus.script.silence(bus.script.bits(201))
+    assert bus.state == lib.DPM_ST_OFFLINE
+
+
+def restart(bus: Bus, answer: bytes = SC) -> bytes:
+    """Back into Data_Exchange; the first telegram of it."""
+    first = bus.next()
+    assert first[6:8] == b"\x6d\x3c", "FCB = 1, FCV = 0: first contact"
+    for reply in (FREE, SC, SC, READY):
+        bus.script.answer(reply)
+        telegram = bus.next()
+    bus.script.answer(answer)
+    return telegram
+
+
+def test_a_lost_station_starts_over_with_a_new_fcb():
+    """peers.md: "FCB not reset when a slave was lost: a livelock for ever with a slave that keeps its FCB"."""
+    bus = Bus()
+    bus.start()
+    lose(bus)
+    assert (bus.slave.reason, bus.slave.detail) == (lib.DPM_WHY_NO_ANSWER, lib.DPM_ST_DATA)
+    assert restart(bus)[4] == 8
+    assert bus.state == lib.DPM_ST_DATA and bus.slave.statistics.starts == 2
+
+
+def test_it_comes_back_with_safe_outputs_and_only_a_new_commit_reaches_it():
+    """Design, invariant 4."""
+    bus = Bus()
+    bus.start()
+    bus.master.mode(lib.DPM_MODE_OPERATE, bus.script.now)
+    sent = bus.master.commit(0, b"\x11\x11", bus.script.now)
+    assert bus.exchange()[7:9] == b"\x11\x11"
+    lose(bus)
+    away = bus.master.commit(0, b"\x22\x22", bus.script.now)
+    assert restart(bus)[7:9] == b"\0\0"
+    assert bus.exchange()[7:9] == b"\0\0"
+    assert bus.master.was_sent(0, sent) in (1, lib.DPM_E_DISCARDED)
+    assert bus.master.was_sent(0, away) == lib.DPM_E_DISCARDED
+    new = bus.master.commit(0, b"\x33", bus.script.now, offset=1)
+    assert bus.exchange()[7:9] == b"\0\x33", "what was written before the loss is not in it"
+    assert bus.master.was_sent(0, new) == 1
+
+
+def test_hold_keeps_the_outputs_of_a_bare_station():
+    bus = Bus(slave={"hold": True})
+    bus.start()
+    bus.master.mode(lib.DPM_MODE_OPERATE, bus.script.now)
+    bus.master.commit(0, b"\x11\x11", bus.script.now)
+    bus.exchange()
+    lose(bus)
+    assert restart(bus)[7:9] == b"\x11\x11"
+
+
+def test_rs_in_data_exchange_leads_to_slave_diag_at_once():
+    """"A slave that says RS is asked for Slave_Diag with toggling FCB" (traces)."""
+    bus = Bus()
+    bus.start()
+    toggled = bus.exchange(RS)[6] ^ 0x20
+    telegram = bus.next()
+    assert telegram[6:8] == bytes([toggled, 0x3C])
+
+
+def test_an_absent_station_is_tried_rarely_once_others_exchange():
+    """peers.md: "One absent slave of two at 19.2 kbit/s: 55 exchanges/s fall to 2.7; four absent: 2000 fall to 482"."""
+    bus = Bus()
+    for address in (20, 21, 22, 23):
+        bus.master.add(address, 0x0A35, b"\x21")
+    tries = exchanges = 0
+    begin = 0
+    for _ in range(20000):
+        telegram = bus.next()
+        if telegram[4] & 0x7F >= 20:
+            tries += 1
+            continue
+        if telegram[4] == 8:
+            begin = begin or bus.script.now
+            exchanges += 1
+        bus.script.answer((FREE if bus.state != lib.DPM_ST_DIAG2 else READY) if telegram[7] == 60 and telegram[4] != 8 else SC)
+        if bus.script.now > 2 * S:
+            break
+    alone = (11 * (11 + 1) + 11 + 37 + 33 + 37 + 37) * 2  # us: request, SC, Tsdr, Tid1, token, Tid1
+    assert exchanges > 0.93 * (bus.script.now - begin) / 1000 / alone
+    assert tries > 50, "but each of them is tried"
+
+
+def test_min_slave_interval_is_kept():
+    """GSD Min_Slave_Intervall, unit 100 us: between two requests to the same slave, start-up included."""
+    bus = Bus(slave={"min_slave_interval": 20})
+    last = -2 * MS
+    for _ in range(40):
+        telegram = bus.next()
+        assert bus.script.last.start - last >= 2 * MS
+        last = bus.script.last.start
+        diag = telegram[4] == 0x88 and telegram[7] == 60
+        bus.script.answer((READY if bus.state == lib.DPM_ST_DIAG2 else FREE) if diag else SC)
+    assert bus.slave.statistics.exchanges > 30
+
+
+def test_a_fixed_cycle_keeps_its_raster():
+    bus = Bus(cycle_time=10 * MS, control_interval=10 * S)
+    bus.start()
+    bus.exchange()  # Global_Control goes before it: the mode is told to who joined
+    starts = []
+    for _ in range(50):
+        bus.exchange()
+        starts.append(bus.script.last.start)
+    assert {round((b - a) / MS, 3) for a, b in pairwise(starts)} == {10.0}
+
+
+# --- modes, Global_Control, watchdog ---------------------------------------------------------------------------------
+
+
+def test_global_control_is_repeated_and_told_to_a_station_that_joined():
+    bus = Bus(control_interval=50 * MS)
+    bus.start()
+    bus.master.mode(lib.DPM_MODE_OPERATE, bus.script.now)
+    times = []
+    while len(times) < 6:
+        telegram = bus.script.next()
+        if telegram == OPERATE:
+            times.append(bus.script.last.start)
+        elif telegram != CLEAR:
+            bus.script.answer(SC)
+    assert all(50 * MS <= b - a <= 52 * MS for a, b in pairwise(times[1:]))
+    lose(bus)
+    restart(bus)
+    while (telegram := bus.script.next()) != OPERATE:
+        bus.script.answer(SC)
+    assert bus.script.last.start - times[-1] < 40 * MS, "not only at the next repetition"
+
+
+def test_clear_sends_zeros_and_a_fail_safe_slave_nothing():
+    """Protocol page J.1."""
+    for fail_safe, expected in ((False, b"\0\0"), (True, b"")):
+        bus = Bus(slave={"fail_safe": fail_safe})
+        bus.start()
+        bus.master.mode(lib.DPM_MODE_OPERATE, bus.script.now)
+        bus.master.commit(0, b"\x11\x11", bus.script.now)
+        assert bus.exchange()[7:9] == b"\x11\x11"
+        bus.master.mode(lib.DPM_MODE_CLEAR, bus.script.now)
+        bus.exchange()
+        telegram = bus.exchange()
+        assert telegram[7:-2] == expected if expected else telegram[0] == 0x10
+
+
+def test_what_was_written_before_leaving_operate_is_never_sent_again():
+    bus = Bus()
+    bus.start()
+    bus.master.mode(lib.DPM_MODE_OPERATE, bus.script.now)
+    bus.master.commit(0, b"\x11\x11", bus.script.now)
+    bus.exchange()
+    bus.master.mode(lib.DPM_MODE_CLEAR, bus.script.now)
+    bus.master.mode(lib.DPM_MODE_OPERATE, bus.script.now)
+    bus.exchange()
+    assert bus.exchange()[7:9] == b"\0\0"
+
+
+def test_the_output_watchdog_makes_everything_safe_and_latches():
+    """Design, invariant 3: a program that hangs while the C thread lives."""
+    bus = Bus(output_watchdog=1 * S)
+    bus.start()
+    bus.master.mode(lib.DPM_MODE_OPERATE, bus.script.now)
+    for _ in range(3000):  # never armed by exchanging alone: outputs that nobody wrote are safe already
+        bus.exchange()
+    assert bus.script.now > 1 * S and bus.master.status.mode == lib.DPM_MODE_OPERATE
+    committed = bus.script.now
+    bus.master.commit(0, b"\x11\x11", committed)
+    while (telegram := bus.exchange())[7:9] == b"\x11\x11":
+        pass
+    assert committed + 1 * S < bus.script.last.start < committed + 1.003 * S
+    assert telegram[7:9] == b"\0\0"
+    status = bus.master.status
+    assert status.latched and status.mode == lib.DPM_MODE_CLEAR and status.fed_by == lib.DPM_FED_COMMIT
+    assert bus.master.commit(0, b"\x22\x22", bus.script.now) == lib.DPM_E_LATCHED
+    assert [e.a for e in bus.master.events() if e.kind == lib.DPM_EV_WATCHDOG] == [lib.DPM_FED_COMMIT]
+    bus.master.mode(lib.DPM_MODE_OPERATE, bus.script.now)
+    bus.exchange()
+    assert bus.exchange()[7:9] == b"\0\0", "the old commit is gone for good"
+    bus.master.commit(0, b"\x33\x33", bus.script.now)
+    assert bus.exchange()[7:9] == b"\x33\x33"
+
+
+def test_feeding_keeps_the_outputs():
+    bus = Bus(output_watchdog=1 * S)
+    bus.start()
+    bus.master.mode(lib.DPM_MODE_OPERATE, bus.script.now)
+    bus.master.commit(0, b"\x11\x11", bus.script.now)
+    bus.exchange()
+    while bus.script.now < 5 * S:
+        lib.dpm_master_feed(bus.master.master, bus.script.now, lib.DPM_FED_PROGRAM)
+        assert bus.exchange()[7:9] == b"\x11\x11"
+
+
+def test_a_stopped_process_comes_back_with_safe_outputs():
+    """SIGSTOP for a while, then SIGCONT: nothing of before is sent."""
+    bus = Bus(output_watchdog=1 * S)
+    bus.start()
+    bus.master.mode(lib.DPM_MODE_OPERATE, bus.script.now)
+    bus.master.commit(0, b"\x11\x11", bus.script.now)
+    bus.exchange()
+    bus.script.now += 3 * S
+    while (telegram := bus.next(tokens=True))[0] == 0xDC:
+        pass
+    assert telegram[7:9] == b"\0\0" and bus.master.status.latched
+
+
+def test_leaving_clears_and_unlocks():
+    """Set_Prm with Unlock on leaving: station status 40, factors 01 01, ident, as B.4 #62."""
+    bus = Bus()
+    bus.start()
+    bus.master.mode(lib.DPM_MODE_STOP, bus.script.now)
+    telegram = bus.next()
+    assert telegram[7:-2] == octets("3D 3E 40 01 01 00 0A 35 00")
+    assert bus.master.status.mode != lib.DPM_MODE_STOP
+    bus.script.answer(SC)
+    assert bus.script.next(limit=20 * MS, tokens=False) == b""
+    assert bus.master.status.mode == lib.DPM_MODE_STOP and bus.state == lib.DPM_ST_OFFLINE
+
+
+def test_leaving_does_not_wait_for_a_station_that_is_gone():
+    bus = Bus()
+    bus.start()
+    bus.master.mode(lib.DPM_MODE_OFFLINE, bus.script.now)
+    assert bus.next()[7] == 0x3D
+    assert bus.next()[7] == 0x3D
+    assert bus.script.next(limit=1 * S, tokens=True) == b""
+    assert bus.master.status.mode == lib.DPM_MODE_OFFLINE
+    assert bus.master.status.fdl_state == lib.DPM_FDL_OFFLINE
+
+
+def test_a_foreign_master_takes_the_bus_and_all_stations_are_safe_afterwards():
+    bus = Bus()
+    bus.start()
+    bus.master.mode(lib.DPM_MODE_OPERATE, bus.script.now)
+    bus.master.commit(0, b"\x11\x11", bus.script.now)
+    bus.exchange()
+    bus.script.answer("DC 05 03", tsdr=40)
+    assert bus.state == lib.DPM_ST_OFFLINE and bus.slave.reason == lib.DPM_WHY_BUS
+    assert not bus.master.inputs(0).valid
+    assert restart(bus)[7:9] == b"\0\0"
+
+
+def test_a_port_that_vanishes_and_comes_back():
+    bus = Bus()
+    bus.start()
+    lib.dpm_master_port(bus.master.master, False, bus.script.now)
+    assert bus.state == lib.DPM_ST_OFFLINE and bus.script.next(limit=1 * S, tokens=True) == b""
+    lib.dpm_master_port(bus.master.master, True, bus.script.now)
+    assert restart(bus)[7:9] == b"\0\0"
+
+
+# --- refusals at set-up -----------------------------------------------------------------------------------------------
+
+
+def test_set_up_refuses_what_cannot_work():
+    assert Master(address=126).result == lib.DPM_E_ADDRESS
+    assert Master(slaves=127).result == lib.DPM_E_ARGUMENT
+    broken = default_parameters()
+    broken.tsl = 60
+    assert Master(parameters=broken).result == lib.DPM_E_PARAMETER
+    master = Master(address=2, slaves=2)
+    assert master.add(2, 1, b"\x21") == lib.DPM_E_ADDRESS
+    assert master.add(126, 1, b"\x21") == lib.DPM_E_ADDRESS
+    assert master.add(8, 1, b"\xC1\x21") == lib.DPM_E_CONFIGURATION
+    assert master.add(8, 1, b"\x21", watchdog=(3, 0)) == lib.DPM_E_ARGUMENT
+    assert master.add(8, 1, b"\x21") == 0
+    assert master.add(8, 2, b"\x21") == lib.DPM_E_DUPLICATE
+    assert master.add(9, 1, b"\x21") == 1
+    assert master.add(10, 1, b"\x21") == lib.DPM_E_FULL
