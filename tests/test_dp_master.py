@@ -42,7 +42,7 @@ class Bus:
         self.index = self.master.add(8, ident, octets(configuration), octets("00 00 00 82 00 00 00"), **given)
         assert self.index == 0
         self.master.mode(lib.DPM_MODE_CLEAR if mode is None else mode)
-        self.script = Script(self.master.machine, self.master.parameters)
+        self.script = Script(self.master)
 
     def next(self, **options) -> bytes:
         """The next telegram that is not Global_Control."""
@@ -122,7 +122,7 @@ def test_set_prm_without_watchdog_and_user_parameters():
     master = Master(500_000, address=2)
     master.add(10, 0x0F84, b"\x21", b"\x01", min_tsdr=0)
     master.mode(lib.DPM_MODE_CLEAR)
-    script = Script(master.machine, master.parameters)
+    script = Script(master)
     script.next()
     assert script.next()[4] == 0x8A
     script.answer("68 0B 0B 68 82 8A 08 3E 3C 06 05 00 FF 0F 84 2B 16")  # 24: an old Cfg_Fault does not count
@@ -265,7 +265,7 @@ def test_an_sc_acknowledges_nobody_else():
     for address in (8, 9):
         master.add(address, 0x0A35, b"\x21")
     master.mode(lib.DPM_MODE_CLEAR)
-    script = Script(master.machine, master.parameters)
+    script = Script(master)
     seen: dict[int, list[int]] = {8: [], 9: []}
     while min(map(len, seen.values())) < 5:
         telegram = script.next()

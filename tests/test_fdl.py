@@ -21,7 +21,7 @@ def stopped(rate: int = 500_000, address: int = 2, **options) -> tuple[Master, S
     """A master in Stop that has claimed the token."""
     master = Master(rate, address, **options)
     master.mode(lib.DPM_MODE_STOP)
-    script = Script(master.machine, master.parameters)
+    script = Script(master)
     assert script.next(tokens=True) == script.next(tokens=True) == bytes([0xDC, address, address])
     return master, script
 
@@ -35,7 +35,7 @@ def test_claim_after_tto_with_two_tokens_and_idle_times(rate):
     tsl, tid1, tid2 = SETS[rate]
     master = Master(rate, address=2)
     master.mode(lib.DPM_MODE_CLEAR)
-    script = Script(master.machine, master.parameters)
+    script = Script(master)
     assert script.next(tokens=True) == octets("DC 02 02")
     assert script.idle_bits(0) == pytest.approx((6 + 2 * 2) * tsl, abs=0.1)
     end = script.last.end
@@ -55,7 +55,7 @@ def test_idle_before_a_request_is_never_under_37_bits_at_low_rates():
     master = Master(9600, address=2)
     master.add(8, 0x0A35, octets("21"))
     master.mode(lib.DPM_MODE_CLEAR)
-    script = Script(master.machine, master.parameters)
+    script = Script(master)
     end = 0
     configured = False
     for _ in range(200):
@@ -129,7 +129,7 @@ def test_answers_fdl_status_as_a_master_not_ready_for_the_ring():
     """Answer `10 SA TS 10` (B.4 #37 has it for station 5), between min Tsdr and max Tsdr; asked by master 2."""
     master = Master(500_000, address=5)
     master.mode(lib.DPM_MODE_STOP)
-    script = Script(master.machine, master.parameters)
+    script = Script(master)
     Offer(master.machine, 0)
     asked = script.answer("10 05 02 49 50 16", tsdr=50)  # B.4 #1
     assert script.next(tokens=True, limit=script.bits(300)) == octets("10 02 05 10 17 16")
@@ -139,7 +139,7 @@ def test_answers_fdl_status_as_a_master_not_ready_for_the_ring():
 def test_an_answer_that_is_too_late_is_dropped_and_counted():
     master = Master(500_000, address=5)
     master.mode(lib.DPM_MODE_STOP)
-    script = Script(master.machine, master.parameters)
+    script = Script(master)
     Offer(master.machine, 0)
     asked = script.answer("10 05 02 49 50 16", tsdr=50)
     offer = Offer(master.machine, asked)
@@ -151,7 +151,7 @@ def test_an_answer_that_is_too_late_is_dropped_and_counted():
 def test_services_it_does_not_have_are_refused_and_sdn_is_not_answered():
     master = Master(500_000, address=5)
     master.mode(lib.DPM_MODE_STOP)
-    script = Script(master.machine, master.parameters)
+    script = Script(master)
     Offer(master.machine, 0)
     script.answer("68 05 05 68 85 82 6D 3C 3E EE 16", tsdr=50)  # B.4 #5: Slave_Diag, to a master
     assert script.next(tokens=True, limit=script.bits(300)) == octets("10 02 05 13 1A 16")  # RS

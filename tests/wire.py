@@ -280,11 +280,12 @@ class Wire:
 class Script:
     """One machine against a hand: `next()` lets it send, `answer()` is what comes back, `silence()` is nothing."""
 
-    def __init__(self, machine: Any, parameters: Any) -> None:
-        self.machine = machine
-        self.parameters = parameters
+    def __init__(self, owner: Master) -> None:
+        self.owner = owner  # keeps the machine's memory
+        self.machine = owner.machine
+        self.parameters = owner.parameters
         self.now = 0
-        self.character = int(lib.dpm_bits_up(parameters, 11))
+        self.character = int(lib.dpm_bits_up(self.parameters, 11))
         self.last: Sent | None = None
 
     def bits(self, n: float) -> int:
