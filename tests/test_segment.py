@@ -22,7 +22,7 @@ from pathlib import Path
 import pytest
 
 from dpmaster import errors
-from dpmaster.emulator import Card, Exchange, PortPath, Segment, SlaveState
+from dpmaster.emulator import Card, Exchange, Line, PortPath, Segment, SlaveState
 
 FDL_STATUS = bytes.fromhex("10 05 02 49 50 16")  # protocol page B.4 #1
 FDL_STATUS_ANSWER = bytes.fromhex("10 02 05 00 07 16")  # B.4 #2
@@ -559,3 +559,36 @@ def test_a_link_that_a_killed_command_left_is_replaced(tmp_path: Path, run: Call
     command = run("emulate", "si-p1", "--address", 5, "--link", link)
     assert command.line() == os.readlink(link)
     assert command.end(signal.SIGTERM)[0] == 0
+
+
+# --- cards on somebody else's wire
+
+
+def test_cards_of_a_line_answer_on_a_port_of_a_segment(open_port: Callable[..., Client]) -> None:
+    with Segment(500_000, cards=0) as wire, Line(wire.port(), Echo(5), Echo(8), baudrate=500_000) as line:
+        master = open_port(wire.port(), wire)
+        answers(master)
+        master.write(bytes.fromhex("10 08 02 49 53 16"))  # B.4 #36
+        assert master.read(6) == bytes.fromhex("10 02 08 00 0A 16")
+        line.check()
+        assert line.failures == ()
+
+
+def test_a_line_whose_port_vanishes_says_so() -> None:
+    with Segment(cards=0) as wire:
+        path = wire.port()
+        line = Line(path, Echo(5), baudrate=500_000)
+    with pytest.raises(errors.PortError, match=path):
+        wait_for(line.check)
+    line.close()
+    with pytest.raises(errors.ClosedError):
+        line.check()
+
+
+def test_a_line_that_cannot_be_opened_leaves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(errors.PortError, match="nothing"):
+        Line(str(tmp_path / "nothing"), Echo(5), baudrate=500_000)
+    with pytest.raises(errors.ConfigurationError, match="at least one card"):
+        Line(str(tmp_path / "nothing"), baudrate=500_000)
+    with Segment(cards=0) as wire, pytest.raises(errors.ConfigurationError, match="taken"):
+        Line(wire.port(), Echo(5), Echo(5), baudrate=500_000)
