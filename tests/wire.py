@@ -235,7 +235,7 @@ class Wire:
             due = [(o.not_before, i) for i, o in enumerate(offers) if o.octets and o.not_before <= self.now]
             if due:
                 return self._transmit(min(due)[1], offers)
-            later = min([o.wake for o in offers] + [after, until])
+            later = min([o.not_before if o.octets else o.wake for o in offers] + [after, until])
             if later >= until:
                 self.now = max(self.now, until)
                 self._quiet()
@@ -309,7 +309,7 @@ class Script:
                 if tokens or offer.octets[0] != 0xDC:
                     return offer.octets
                 continue
-            self.now = min(max(offer.wake, self.now + 1), end)
+            self.now = min(max(offer.not_before if offer.octets else offer.wake, self.now + 1), end)
             self.machine.quiet(self.machine, self.now)
         return b""
 

@@ -473,8 +473,8 @@ void dpm_master_get_status(const dpm_master *master, dpm_master_status *status)
         .cycle = master->cycle,
         .cycle_last = master->cycle_last,
         .cycle_max = master->cycle_max,
-        .fdl = *dpm_station_statistics(&master->station),
     };
+    dpm_station_statistics(&master->station, &status->fdl);
 }
 
 int dpm_master_get_slave(const dpm_master *master, int index, dpm_slave_status *status)

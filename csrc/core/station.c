@@ -541,6 +541,10 @@ void dpm_station_online(dpm_station *station, bool online)
 
 int dpm_station_state(const dpm_station *station) { return station->state; }
 
-const dpm_fdl_statistics *dpm_station_statistics(const dpm_station *station) { return &station->statistics; }
+void dpm_station_statistics(const dpm_station *station, dpm_fdl_statistics *statistics)
+{
+    *statistics = station->statistics;
+    memcpy(statistics->rejected, station->receiver.rejected, sizeof statistics->rejected);
+}
 
 void dpm_station_restart(dpm_station *station, uint8_t address) { station->fcb[address & 0x7F] = DPM_FCB_UNKNOWN; }

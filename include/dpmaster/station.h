@@ -77,7 +77,7 @@ typedef struct dpm_fdl_statistics {
     uint64_t foreign;          /* tokens and requests of foreign masters */
     uint64_t send_failed;
     uint64_t tokens_lost;      /* times the token was given up after our own silence */
-    uint32_t rejected[DPM_REJECT_COUNT];
+    uint32_t rejected[DPM_REJECT_COUNT]; /* octets thrown away by the receiver; [0] counts good telegrams */
 } dpm_fdl_statistics;
 
 typedef struct dpm_station dpm_station;
@@ -100,7 +100,7 @@ DPM_API int dpm_station_remove_ring(dpm_station *station, dpm_ring *ring);
 /* Leave Offline for Listen_Token, or go Offline at once: nothing more is sent. */
 DPM_API void dpm_station_online(dpm_station *station, bool online);
 DPM_API int dpm_station_state(const dpm_station *station);
-DPM_API const dpm_fdl_statistics *dpm_station_statistics(const dpm_station *station);
+DPM_API void dpm_station_statistics(const dpm_station *station, dpm_fdl_statistics *statistics);
 /* Forget a station's frame count bit: the next request to it is a first contact (FCB = 1, FCV = 0). */
 DPM_API void dpm_station_restart(dpm_station *station, uint8_t address);
 
