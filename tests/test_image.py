@@ -178,6 +178,8 @@ def test_an_answer_after_make_safe_does_not_count() -> None:
     number, _ = outputs.take()
     outputs.safe()
     assert outputs.sent(1) == DISCARDED
+    lib.dpm_outputs_answered(outputs.it, number)
+    assert outputs.sent(1) == DISCARDED, "what was said once stays"
     outputs.commit(b"\x02")
     outputs.take()
     lib.dpm_outputs_answered(outputs.it, number)

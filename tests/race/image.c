@@ -15,7 +15,7 @@
 
 #define PUTS 100000
 #define COMMITS 200000
-#define EPOCHS 300
+#define EPOCHS 2000
 
 static uint32_t draw(uint32_t *seed)
 {
@@ -99,14 +99,27 @@ static void *application(void *unused)
     return unused;
 }
 
+/* The answer to what is under way comes in time, or too late to count. */
+static void make_safe(uint32_t epoch, bool latch)
+{
+    uint64_t under_way = dpm_outputs_take(outputs)->number;
+    if (draw(&seeds[1]) % 2) {
+        dpm_outputs_answered(outputs, under_way);
+        answered[under_way] = epoch;
+    }
+    dpm_outputs_make_safe(outputs, latch);
+    dpm_outputs_answered(outputs, under_way);
+}
+
 static void *bus(void *unused)
 {
     uint64_t highest = 0;
+    bool latched = false;
     for (uint32_t epoch = 1; epoch < EPOCHS; epoch++) {
-        bool latched = epoch_of(outputs) > 1 && draw(&seeds[1]) % 4 == 0;
-        for (unsigned left = draw(&seeds[1]) % 100; left; left--) {
+        for (unsigned left = draw(&seeds[1]) % 20; left; left--) {
             const dpm_frame *frame = dpm_outputs_take(outputs);
             REQUIRE(frame->epoch == epoch && frame->length == 8); /* nothing stale once make_safe has returned */
+            REQUIRE(!latched || !frame->number);
             require_uniform(frame, (uint8_t)frame->number);
             zeros += frame->number == 0;
             if (frame->number) {
@@ -119,12 +132,10 @@ static void *bus(void *unused)
             }
             sched_yield();
         }
-        uint64_t under_way = dpm_outputs_take(outputs)->number;
-        dpm_outputs_make_safe(outputs, latched);
-        dpm_outputs_answered(outputs, under_way); /* too late to count */
-        if (latched && draw(&seeds[1]) % 2)
-            sched_yield();
-        dpm_outputs_unlatch(outputs);
+        if (latched)
+            dpm_outputs_unlatch(outputs);
+        latched = draw(&seeds[1]) % 4 == 0;
+        make_safe(epoch, latched);
     }
     atomic_store(&over, true);
     return unused;
