@@ -51,8 +51,8 @@ int dpm_parameters_default(dpm_parameters *parameters, uint32_t rate, uint16_t m
             return DPM_E_PARAMETER;
 
     uint16_t slowest = max_tsdr > p->max_tsdr ? max_tsdr : p->max_tsdr;
-    /* No sum wraps: a MaxTsdr beyond all bounds is dpm_parameters_check's to refuse by its name. */
-    uint16_t tsl = slowest > UINT16_MAX - TSL_MARGIN ? UINT16_MAX : (uint16_t)(slowest + TSL_MARGIN);
+    /* May wrap only for a MaxTsdr far beyond 1023, which dpm_parameters_check refuses by its name, before Tsl. */
+    uint16_t tsl = (uint16_t)(slowest + TSL_MARGIN);
     *parameters = (dpm_parameters){
         .rate_num = p->rate_num,
         .rate_den = p->rate_den,
@@ -90,8 +90,8 @@ int dpm_parameters_check(const dpm_parameters *parameters, uint8_t address, dpm_
         {"tset", p->tset, 1, 255, "1 to 255 Tbit"},
         {"tqui", p->tqui, 0, 31, "at most 31 Tbit"},
         {"max_tsdr", p->max_tsdr, tid1, 1023, "35 + 2 Tset + Tqui to 1023 Tbit"},
-        {"min_tsdr", p->min_tsdr, 11, least(least(255, p->max_tsdr - 1), tid1 - 1),
-         "11 to 255 Tbit, below max Tsdr and below 35 + 2 Tset + Tqui"},
+        {"min_tsdr", p->min_tsdr, 11, least(255, tid1 - 1),
+         "11 to 255 Tbit, below 35 + 2 Tset + Tqui and with that below max Tsdr"},
         {"tqui", p->tqui, 0, p->min_tsdr - 1, "below min Tsdr: the line is quiet again before an answer begins"},
         {"tsl", p->tsl, most(52, p->max_tsdr + TSL_MARGIN), 16383, "max Tsdr + 15 to 16383 Tbit"},
         {"ttr", p->ttr, 256, 16777960, "256 to 16777960 Tbit"},
