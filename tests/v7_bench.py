@@ -7,6 +7,7 @@ that telegram, as with a real slave. `trace` keeps (outputs, inputs) of every cy
 
 from __future__ import annotations
 
+import collections
 import itertools
 from collections.abc import Callable
 
@@ -22,10 +23,11 @@ class VirtualV7(YaskawaV7):
     """The drive class over a transport of its own: what Station and Master do, in a dozen lines."""
 
     def __init__(self, card: SIP1, configuration: str = "Extended Data 1", *, cycle: float = 0.001,
-                 **arguments: object) -> None:
+                 lag: int = 0, **arguments: object) -> None:
         super().__init__(card.address, configuration, **arguments)  # type: ignore[arg-type]
         self.card = card
         self.cycle = cycle
+        self._seen = collections.deque([Exchange()] * (lag + 1))  # the card's firmware looks `lag` cycles late
         self.now = 0.0
         self.state_of_slave = SlaveState.DATA_EXCH
         self.answering = True
@@ -46,16 +48,15 @@ class VirtualV7(YaskawaV7):
             return
         exchanging = self.state_of_slave is SlaveState.DATA_EXCH
         image = self._image
-        inputs = self.card.step(self.now, self._seen)
-        self._seen = Exchange(self.state_of_slave, image, exchanging, self._number,
-                              self._index if exchanging else -1, 1 if exchanging else None)
-        self.card.step(self.now, self._seen)
+        inputs = self.card.step(self.now, self._seen[0])
+        self._seen.popleft()
+        self._seen.append(Exchange(self.state_of_slave, image, exchanging, self._number,
+                                   self._index if exchanging else -1, 1 if exchanging else None))
+        self.card.step(self.now, self._seen[0])
         if exchanging:
             self._sent = self._number
             self._frame = Frame(inputs or bytes(self._size), self._frame.number + 1, 0, self.now, True)
             self.trace.append((image, self._frame.octets))
-
-    _seen = Exchange()
 
     def let_pass(self, seconds: float) -> None:
         until = self.now + seconds

@@ -126,6 +126,7 @@ class ParameterChannel:
         self._wire = wire
         self._where = where
         self._lock = threading.Lock()
+        self._abandoned = False
 
     @property
     def words(self) -> int:
@@ -139,6 +140,7 @@ class ParameterChannel:
         with self._lock:
             request = Access(function, address, length, tuple(data))
             frame = self._equalise(timeout)
+            self._abandoned = True
             deadline = frame.time + timeout
             hs = self._hs(frame)
             self._commit(request, hs, timeout)
@@ -149,27 +151,30 @@ class ParameterChannel:
             except DPTimeout as late:
                 raise DPTimeout(f"parameter channel: no answer to function {what} within {timeout} s; "
                                 f"the channel can be used again ({late})") from late
+            self._abandoned = False
         return self._judge(request, Access.decode(frame.octets, self._where))
 
     def _equalise(self, timeout: float) -> Frame:
         """Give the command the response's HS; return a later frame, which has confirmed it.
 
-        The late mirror of an access that was given up can still change the response's HS: then once more. Function 00h
-        keeps such a crossing from being taken for a request.
+        The late mirror of an access that was given up can still change the response's HS: then the card is given time to
+        have looked, and if HS has moved it is done once more. Function 00h keeps such a crossing from being taken for a
+        request.
         """
         frame = self._wire.wait(lambda f: f.valid, timeout)
         deadline = frame.time + timeout
         while frame.time < deadline:
             hs = self._hs(frame)
             self._commit(Access(Function.NONE), hs, timeout)
-            seen = self._wire.wait(lambda f: f.valid, timeout).number
-            frame = self._newer(seen, timeout)
+            frame = self._after(self._wire.wait(lambda f: f.valid, timeout), timeout)
             if self._hs(frame) == hs:
                 return frame
         raise DPTimeout(f"parameter channel: HS of the card did not settle within {timeout} s")
 
-    def _newer(self, seen: int, timeout: float) -> Frame:
-        return self._wire.wait(lambda f: f.valid and f.number != seen, timeout)
+    def _after(self, seen: Frame, timeout: float) -> Frame:
+        """A frame after `seen`, by `SETTLE` when an access was given up."""
+        earliest = seen.time + (SETTLE if self._abandoned else 0.0)
+        return self._wire.wait(lambda f: f.valid and f.number != seen.number and f.time >= earliest, timeout + SETTLE)
 
     def _hs(self, frame: Frame) -> int:
         return frame.octets[self._where.handshake] & HS
