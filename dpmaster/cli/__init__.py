@@ -21,7 +21,7 @@ from types import FrameType
 from dpmaster.errors import DPError
 
 # Every command, in the order of the help.
-COMMANDS: tuple[str, ...] = ("segment", "emulate", "decode")
+COMMANDS: tuple[str, ...] = ("demo", "segment", "emulate", "decode")
 
 OK, FAILED, USAGE, INTERRUPTED, TERMINATED = 0, 1, 2, 128 + signal.SIGINT, 128 + signal.SIGTERM
 
