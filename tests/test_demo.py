@@ -56,7 +56,9 @@ def test_in_a_pipe_it_prints_lines() -> None:
     assert re.search(r"n003 = 3 .* n004 = 9 ", done.stdout)
     assert "written 1.0 s, read back 1.0 s" in done.stdout
     assert re.search(r"\[#{40}\] +30\.00 Hz .*reverse.*frequency agree", done.stdout)
-    assert "code 22h" in done.stdout
+    refused, _, down = done.stdout.partition("the ramp down")
+    assert "code 22h" in refused
+    assert re.search(r"\[#+\.*\] +[1-9]\d*\.\d\d Hz", down)  # the drive is followed down as it was up
     assert "master.feed()" in done.stdout  # what a person at a prompt must know
 
 

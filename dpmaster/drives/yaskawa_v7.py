@@ -535,10 +535,15 @@ class YaskawaV7(Station):
         for word in values:
             if isinstance(word, bool) or not isinstance(word, int) or not 0 <= word <= 0xFFFF:
                 raise ConfigurationError(f"write_parameter {name!r}: {word!r} is no word, 0 to 65535")
+        refused = False
         try:
             channel.access(Function.WRITE, register(name), 2 * len(values), values, timeout)
+        except ParameterAccessError:
+            refused = True
+            raise
         finally:
-            self._facts = None  # it may have been one of them, or scale one of them
+            if not refused:
+                self._facts = None  # it may have been one of them, or scale one of them
 
     def _check_count(self, count: int, channel: ParameterChannel) -> None:
         if not 1 <= count <= channel.words:
