@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 import threading
 
 import pytest
@@ -115,14 +116,17 @@ def test_b5_write_error(configuration: str) -> None:
 # -- The handshake -----------------------------------------------------------------------------------------------------
 
 
+def toggles_follow_their_data(drive: VirtualV7) -> bool:
+    """Whether each change of HS in the commands found its data already in the telegram before."""
+    return all(before[16:31] == after[16:31] for (before, _), (after, _) in itertools.pairwise(drive.trace)
+               if (before[31] ^ after[31]) & 0x80 and after[16])
+
+
 def test_data_goes_first_and_the_toggle_in_a_later_telegram() -> None:
-    """Each change of HS in the commands finds its data already in the telegram before."""
     drive = bench()
     for turn in range(3):
         drive.write_parameter("n019", 50 + turn)
-    for (before, _), (after, _) in zip(drive.trace, drive.trace[1:], strict=False):
-        if (before[31] ^ after[31]) & 0x80 and after[16]:
-            assert before[16:31] == after[16:31]
+    assert toggles_follow_their_data(drive)
 
 
 def test_an_answer_counts_only_with_its_hs_and_status_11() -> None:
@@ -152,6 +156,7 @@ def test_after_a_time_out_the_channel_is_usable(pause: float, lag: int) -> None:
     drive.let_pass(pause)
     assert drive.read_parameter(0x0201) == 0x2222
     assert drive.read_parameter(0x0200) == 0x1111
+    assert toggles_follow_their_data(drive)
 
 
 def test_a_card_that_never_answers_is_a_timeout_that_says_so() -> None:
