@@ -29,6 +29,8 @@ enum {
 
 /* The end of a wait is spun, for the kernel wakes some tens of microseconds late even with the timer slack gone. */
 #define SPIN INT64_C(60000)
+/* In the last bit of it even a look at the descriptors takes too long; they are looked at once more when it is over. */
+#define LAST INT64_C(5000)
 
 /* What the host may be late, by the kind of port. These are starting values for an idle desktop or a Raspberry Pi; a
  * program that has measured its own gives dpm_port_config.allowance. */
@@ -65,7 +67,6 @@ struct dpm_port {
     int64_t character;     /* ns of one character at the rate */
     int64_t spacing;       /* ns between octets read in one go */
     int64_t lag;           /* ns that octets may lie unseen in a FIFO */
-    int64_t silent;        /* begin of the last read that came back empty */
     dpm_marks marks;
     echo_filter echo;
     link_mark link;
@@ -205,7 +206,6 @@ static int open_line(dpm_port *port)
     (void)ioctl(port->fd, TCFLSH, TCIOFLUSH);
     port->marks.seen = 0;
     port->echo.length = port->echo.matched = 0;
-    port->silent = dpm_now();
     return DPM_OK;
 }
 
@@ -301,10 +301,12 @@ void dpm_port_get_info(const dpm_port *port, dpm_port_info *info)
 
 /* ---- receiving ---- */
 
+/* The last of `n` octets had come at `read`, the others a character before each other. How long they had lain in FIFO
+ * and kernel by then, only the port's granularity bounds: an empty read or a wait before proves nothing closer, since
+ * neither tells when in a long silence they came. */
 static void give(dpm_port *port, dpm_machine *machine, const uint8_t *octets, const uint8_t *errors, size_t n,
                  int64_t earliest, int64_t read)
 {
-    /* The last one had come when read returned, the others a character before each other. */
     int64_t latest = read - (int64_t)(n - 1) * port->spacing;
     dpm_span span = {octets, errors, n, earliest < latest ? earliest : latest, latest, port->spacing, false};
     machine->octets(machine, &span);
@@ -348,7 +350,6 @@ static size_t take_echo(dpm_port *port, dpm_machine *machine, size_t n, int64_t 
 static void take_octets(dpm_port *port, dpm_machine *machine, size_t n)
 {
     int64_t read = dpm_now();
-    int64_t earliest = port->silent - port->info.traits.granularity;
     const uint8_t *errors = NULL;
     if (port->marked) {
         n = dpm_unmark(&port->marks, port->raw, n, port->octets, port->errors);
@@ -361,7 +362,10 @@ static void take_octets(dpm_port *port, dpm_machine *machine, size_t n)
     } else {
         memcpy(port->octets, port->raw, n);
     }
+    if (n == 0)
+        return; /* the first part of a mark */
     port->info.octets_in += n;
+    int64_t earliest = read - (int64_t)(n - 1) * port->spacing - port->info.traits.granularity;
     size_t taken = port->echo.length ? take_echo(port, machine, n, earliest, read) : 0;
     if (taken < n)
         give(port, machine, port->octets + taken, errors ? errors + taken : NULL, n - taken, earliest, read);
@@ -370,7 +374,6 @@ static void take_octets(dpm_port *port, dpm_machine *machine, size_t n)
 /* Nothing is unread. While an echo is half here its octets are held, and nothing is said about the line. */
 static void report_quiet(dpm_port *port, dpm_machine *machine, int64_t before)
 {
-    port->silent = before;
     if (port->echo.matched) {
         if (before < port->echo.due)
             return;
@@ -452,6 +455,8 @@ int dpm_port_wait(dpm_port *port, int wake_fd, int64_t deadline)
     struct pollfd fds[2] = {{port->fd, POLLIN, 0}, {wake_fd, POLLIN, 0}};
     for (;;) {
         int64_t left = deadline - dpm_now();
+        while (left > 0 && left < LAST)
+            left = deadline - dpm_now();
         /* An hour at most, so that the time fits wherever time_t is small; the loop goes on. */
         int64_t sleep = left - SPIN > INT64_C(3600000000000) ? INT64_C(3600000000000) : left - SPIN;
         int mask = poll_for(fds, sleep > 0 ? sleep : 0);
