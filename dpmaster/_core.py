@@ -8,6 +8,7 @@ to the process that made it, and a wait comes back now and then so that Python c
 
 from __future__ import annotations
 
+import mmap
 import os
 import time
 from collections.abc import Callable
@@ -60,10 +61,13 @@ def check(code: int, what: str = "", **context: object) -> int:
 
 
 def block(size: int) -> Any:
-    """`size` zeroed octets, aligned to 16 as every object of the library wants, alive as long as the value returned."""
-    memory = bytearray(size + 15)
-    start = -int(ffi.cast("uintptr_t", ffi.from_buffer(memory))) % 16
-    return ffi.from_buffer("uint8_t[]", memoryview(memory)[start : start + size], require_writable=True)
+    """`size` zeroed octets, aligned to 16 as every object of the library wants, alive as long as the value returned.
+
+    Pages of their own, as a bytearray's start is aligned nowhere, and a memoryview into one crashes CPython's collector
+    when it is part of a cycle.
+    """
+    pages = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+    return ffi.from_buffer("uint8_t[]", pages, require_writable=True)
 
 
 def now() -> int:

@@ -97,8 +97,11 @@ def _port_error(path: str, code: int) -> PortError:
                      errno=base.errno if isinstance(base, PortError) else None)
 
 
-def _shut(process: _core.Process, handle: Any, events: list[Events]) -> None:
-    """The end of a bus, by close() or by the collector. "After fork ... no finaliser touches the bus"."""
+def _shut(process: _core.Process, handle: Any, events: list[Events], kept: list[Any]) -> None:
+    """The end of a bus, by close() or by the collector. "After fork ... no finaliser touches the bus".
+
+    `kept` is the memory that the thread uses: an argument outlives the thread, in whatever order a cycle is collected.
+    """
     if process.here:
         lib.dpm_bus_close(handle)
         for each in events:
@@ -120,9 +123,10 @@ class Bus:
         self.master: Any = None
         self.fed_thread = 0  # the thread of the last commit: only its waits feed the output watchdog
         self._events: list[Events] = []
+        self._kept: list[Any] = []
         self._starting = threading.Lock()
         self._handle = self._open(port, rate, echo, profile, allowance)
-        self._finish = weakref.finalize(self, _shut, self.process, self._handle, self._events)
+        self._finish = weakref.finalize(self, _shut, self.process, self._handle, self._events, self._kept)
         self._finish.atexit = False  # a Master that still lives says its stop words first
 
     def _open(self, port: str, rate: tuple[int, int], echo: bool | None, profile: str | None, allowance: float | None) -> Any:
@@ -136,12 +140,17 @@ class Bus:
         paced: bool | None = getattr(port, "paced", None)
         config.pace = {None: lib.DPM_PACE_AUTO, False: lib.DPM_PACE_NONE, True: lib.DPM_PACE_BAUD}[paced]
         config.allowance = -1 if allowance is None else round(allowance * NS)
-        self._memory = _core.block(lib.dpm_bus_size())
+        memory = self._keep(lib.dpm_bus_size())
         handle = ffi.new("dpm_bus **")
-        code = lib.dpm_bus_open(self._memory, len(self._memory), config, handle)
+        code = lib.dpm_bus_open(memory, len(memory), config, handle)
         if code < 0:
             raise _port_error(self.path, code)
         return handle[0]
+
+    def _keep(self, size: int) -> Any:
+        """A block that lives as long as the thread at least."""
+        self._kept.append(_core.block(size))
+        return self._kept[-1]
 
     def guard(self) -> None:
         """Raise ClosedError in a forked child, or after close."""
@@ -151,10 +160,10 @@ class Bus:
 
     def start(self, config: Any, slaves: int) -> None:
         """Build the master in a block of its own and start the thread on it. Once."""
-        self._master_memory = _core.block(lib.dpm_master_size(slaves))
+        memory = self._keep(lib.dpm_master_size(slaves))
         handle = ffi.new("dpm_master **")
         lib.dpm_bus_get_traits(self._handle, ffi.addressof(config.station, "traits"))
-        _core.check(lib.dpm_master_init(self._master_memory, len(self._master_memory), config, handle), "set up the master")
+        _core.check(lib.dpm_master_init(memory, len(memory), config, handle), "set up the master")
         self._call(lib.dpm_bus_start(self._handle, lib.dpm_master_machine(handle[0]), handle[0]), "start the bus thread")
         with self._starting:
             self.master = handle[0]
@@ -174,8 +183,10 @@ class Bus:
             raise _port_error(self.path, code)
         return _core.check(code, what, **context)
 
-    def add(self, settings: Any, outputs: Any, image: Any) -> int:
+    def add(self, settings: Any, outputs: Any, image: Any, memory: tuple[Any, ...]) -> int:
+        """Give a slave to the thread, with its images and the memory they are in."""
         self.guard()
+        self._kept.append(memory)
         return self._call(lib.dpm_bus_add(self._handle, settings, outputs, image), "add the station", address=settings.address)
 
     def change(self, index: int, settings: Any) -> None:

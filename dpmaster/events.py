@@ -13,6 +13,7 @@ import threading
 import time
 import weakref
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING
@@ -91,8 +92,10 @@ class Events:
         self._bus = weakref.ref(bus)  # the bus keeps us; a bus that nobody else keeps shall go
         self._memory = _core.block(lib.dpm_ring_size(size))
         self.ring = lib.dpm_ring_init(self._memory, len(self._memory), size)
-        self._lock = threading.Lock()  # the ring has one taker at a time
-        self._users = 0  # inside poll: the descriptor is closed behind the last of them
+        # The ring has one taker at a time. The collector may end us in the middle of our own take(): hence an RLock, and
+        # `_users` who still have the descriptor, which is closed behind the last of them.
+        self._lock = threading.RLock()
+        self._users = 0
         self._ended = False
         self._event = ffi.new("dpm_event *")
         self._lost = ffi.new("uint64_t *")
@@ -138,8 +141,7 @@ class Events:
             self._poll(left)
 
     def _take(self) -> Event | None:
-        with self._lock:
-            self._guard()
+        with self._using(), self._lock:
             if not lib.dpm_ring_take(self.ring, self._event, self._lost):
                 # Empty: take the descriptor's mark away, then look again for what came in between.
                 try:
@@ -154,13 +156,18 @@ class Events:
                          found.a, found.b, found.value)
 
     def _poll(self, timeout: float | None) -> None:
+        with self._using():
+            poll = select.poll()
+            poll.register(self._fd, select.POLLIN)
+            poll.poll(None if timeout is None else timeout * 1000)
+
+    @contextmanager
+    def _using(self) -> Iterator[None]:
         with self._lock:
             self._guard()
             self._users += 1
         try:
-            poll = select.poll()
-            poll.register(self._fd, select.POLLIN)
-            poll.poll(None if timeout is None else timeout * 1000)
+            yield
         finally:
             with self._lock:
                 self._users -= 1
@@ -181,7 +188,7 @@ class Events:
         with self._lock:
             if not self._ended:
                 self._ended = True
-                os.eventfd_write(self._fd, 1)
+                os.eventfd_write(self._fd, 1)  # wakes who polls; those who look now find it ended
             self._close_descriptor()
 
     def _close_descriptor(self) -> None:

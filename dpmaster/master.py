@@ -247,7 +247,7 @@ class Master:
                 self._enter(station)
 
     def _enter(self, station: Station) -> None:
-        station._index = self._bus.add(station._settings(), station._outputs, station._image)
+        station._index = self._bus.add(station._settings(), station._outputs, station._image, station._memory)
 
     def _listen(self) -> None:
         """Log what happens from a thread of its own, which keeps neither the master nor the interpreter alive."""

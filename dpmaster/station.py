@@ -162,10 +162,9 @@ class Station:
 
     def _attach(self, master: Master) -> None:
         """Become `master`'s: the process image begins."""
-        self._outputs_memory = _core.block(lib.dpm_outputs_size())
-        self._outputs = lib.dpm_outputs_init(self._outputs_memory, len(self._outputs_memory), self.output_length)
-        self._image_memory = _core.block(lib.dpm_image_size())
-        self._image = lib.dpm_image_init(self._image_memory, len(self._image_memory))
+        outputs, image = self._memory = (_core.block(lib.dpm_outputs_size()), _core.block(lib.dpm_image_size()))
+        self._outputs = lib.dpm_outputs_init(outputs, len(outputs), self.output_length)
+        self._image = lib.dpm_image_init(image, len(image))
         self._master = master
 
     def _settings(self) -> Any:

@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import pickle
 import signal
 import threading
 import time
+import weakref
 
 import pytest
 
@@ -75,6 +77,20 @@ def test_blocks_are_aligned_zeroed_and_of_the_size_asked_for(size: int) -> None:
         assert bytes(memory) == bytes(size)
         memory[size - 1] = 0xA5
     assert all(memory[size - 1] == 0xA5 for memory in blocks)
+
+
+def test_blocks_in_a_cycle_are_collected() -> None:
+    # The crash that made block() what it is came when the block was older than the rest of its cycle.
+    class Owner:
+        pass
+
+    for _ in range(10):
+        memory, owner = _core.block(1000), Owner()
+        vars(owner).update(memory=memory, me=owner)
+        alive = weakref.ref(memory)
+        del memory, owner
+        gc.collect()
+        assert alive() is None
 
 
 class Counter:
