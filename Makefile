@@ -111,8 +111,9 @@ SANITIZERS := -fsanitize=address,undefined -fno-sanitize-recover=undefined
 sanitize: $(VENV)/.built $(VENV)/.test
 	DPM_CFLAGS="$(SANITIZERS) -fno-omit-frame-pointer -g -O1" DPM_LDFLAGS="$(SANITIZERS)" \
 	    $(PY) setup.py --quiet build --build-base build/sanitize --build-lib build/sanitize/lib
+	ln -sfn $(CURDIR)/include $(CURDIR)/csrc build/sanitize/lib/
 	LD_PRELOAD="$$($(CC) -print-file-name=libasan.so) $$($(CC) -print-file-name=libubsan.so)" \
-	    ASAN_OPTIONS=detect_leaks=0 PYTHONMALLOC=malloc PYTHONPATH=build/sanitize/lib DPM_SANITIZE=1 \
+	    ASAN_OPTIONS=detect_leaks=0 PYTHONMALLOC=malloc PYTHONPATH=build/sanitize/lib \
 	    $(PY) -P -m pytest --capture=no --quiet -m "not tree" $(ARGS)
 
 fuzz: $(FUZZ)
