@@ -290,6 +290,7 @@ int dpm_master_request(dpm_master *master, dpm_raw *raw)
         return DPM_E_MODE;
     raw->done = false;
     master->raw = raw;
+    master->station.users_wake = 0;
     return DPM_OK;
 }
 
@@ -328,6 +329,7 @@ int dpm_master_set_mode(dpm_master *master, int mode, int64_t now)
 {
     if (mode != DPM_MODE_OFFLINE && mode != DPM_MODE_STOP && mode != DPM_MODE_CLEAR && mode != DPM_MODE_OPERATE)
         return DPM_E_ARGUMENT;
+    master->station.users_wake = 0;
     if (mode != DPM_MODE_OFFLINE)
         dpm_station_online(&master->station, master->port_works);
     if (master->mode == DPM_MODE_OPERATE && mode != DPM_MODE_OPERATE)

@@ -275,6 +275,7 @@ static void request_sent(dpm_station *st)
 {
     st->tries++;
     st->worked = true;
+    st->users_wake = 0;
     if (is_sdn(st->function)) {
         dpm_confirm confirm = {.status = DPM_CONF_SENT, .tsdr = -1};
         st->statistics.sdn++;
@@ -370,12 +371,14 @@ static void make_token(dpm_station *st)
 }
 
 /* The token is held: work of the users by priority, else pass it on. With nothing to do the token still goes round
- * before the bus has been silent for half of the shortest Tto, so that no other master takes it for lost. Returns when to look again. */
+ * before the bus has been silent for two thirds of the shortest Tto, so that no other master takes it for lost. Returns
+ * when to look again. */
 static int64_t use_token(dpm_station *st, int64_t now)
 {
     int64_t wake = DPM_NEVER;
+    const int64_t idle_end = st->last_activity + st->idle;
     if (now < st->not_before)
-        return st->not_before;
+        return max_of(st->not_before, min_of(st->users_wake, idle_end));
     for (unsigned i = 0; i < st->n_users; i++) {
         dpm_request request = {.dsap = DPM_NO_SAP, .ssap = DPM_NO_SAP};
         if (st->users[i].next(st->users[i].context, now, &request, &wake)) {
@@ -385,7 +388,7 @@ static int64_t use_token(dpm_station *st, int64_t now)
         if (st->state != DPM_FDL_USE_TOKEN)
             return now; /* the user went offline */
     }
-    const int64_t idle_end = st->last_activity + st->idle;
+    st->users_wake = wake;
     if (!st->worked && wake > now && now < idle_end)
         return min_of(wake, idle_end);
     st->state = DPM_FDL_PASS_TOKEN;
@@ -469,7 +472,7 @@ static void derive_times(dpm_station *st, const dpm_parameters *p, uint8_t addre
     st->tsyni = dpm_bits_up(p, 2 * (2 * (DPM_TSYN + DPM_TELEGRAM_MAX * DPM_CHARACTER_BITS)) + DPM_TSYN);
     st->min_tsdr = dpm_bits_up(p, p->min_tsdr);
     st->max_tsdr = dpm_bits_down(p, p->max_tsdr);
-    st->idle = 3 * st->tsl; /* Tto of address 0, the shortest, is 6 Tsl */
+    st->idle = 4 * st->tsl; /* Tto of address 0, the shortest, is 6 Tsl */
 }
 
 int dpm_station_init(void *block, size_t size, const dpm_station_config *config, dpm_station **station)

@@ -29,6 +29,9 @@ enum {
 
 /* The end of a wait is spun, for the kernel wakes some tens of microseconds late even with the timer slack gone. */
 #define SPIN INT64_C(60000)
+/* Longer waits end without a spin: time-outs, idle bus, the next cycle are no matter of microseconds, and a spin for
+ * each of them would cost more than the exchange. */
+#define SHORT INT64_C(250000)
 /* In the last bit of it even a look at the descriptors takes too long; they are looked at once more when it is over. */
 #define LAST INT64_C(5000)
 
@@ -453,12 +456,13 @@ static int poll_for(struct pollfd fds[2], int64_t time)
 int dpm_port_wait(dpm_port *port, int wake_fd, int64_t deadline)
 {
     struct pollfd fds[2] = {{port->fd, POLLIN, 0}, {wake_fd, POLLIN, 0}};
+    const int64_t spin = deadline - dpm_now() < SHORT ? SPIN : 0;
     for (;;) {
         int64_t left = deadline - dpm_now();
         while (left > 0 && left < LAST)
             left = deadline - dpm_now();
         /* An hour at most, so that the time fits wherever time_t is small; the loop goes on. */
-        int64_t sleep = left - SPIN > INT64_C(3600000000000) ? INT64_C(3600000000000) : left - SPIN;
+        int64_t sleep = left - spin > INT64_C(3600000000000) ? INT64_C(3600000000000) : left - spin;
         int mask = poll_for(fds, sleep > 0 ? sleep : 0);
         if (mask || left <= 0)
             return mask;
