@@ -275,12 +275,27 @@ def _prm_fault(ident_number: int, diagnosis: Diagnosis | None) -> str:
     return "refuses its parameters (Prm_Fault): the user parameters are not its own, or of the wrong length"
 
 
+def judge(reason: int, diagnosis: Diagnosis | None) -> int:
+    """The reason behind a reason: a slave that dislikes its parameters answers what follows them with RS, and says
+    why only in the diagnosis that the master then fetches."""
+    if reason == Reason.SERVICE and diagnosis is not None:
+        for flag, behind in _BEHIND.items():
+            if diagnosis.flags & flag:
+                return behind
+    return reason
+
+
+_BEHIND = {
+    Diag.PRM_FAULT: Reason.PRM_FAULT, Diag.CFG_FAULT: Reason.CFG_FAULT, Diag.NOT_SUPPORTED: Reason.NOT_SUPPORTED,
+}
+
+
 def why(reason: int, detail: int, *, ident_number: int, configuration: bytes = b"", diagnosis: Diagnosis | None = None) -> str:
     """Why a station is not exchanging, a clause without subject; "" when nothing is known against it.
 
     `reason` and `detail` are the master's (``enum dpm_reason``); the rest is what the station was meant to be.
     """
-    match reason:
+    match judge(reason, diagnosis):
         case Reason.NONE:
             return ""
         case Reason.NO_ANSWER:

@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 
 from dpmaster._core import NS, ffi, lib
 from dpmaster.bus import Bus, FdlState, Feed, Mode, PortStatistics
-from dpmaster.diagnosis import Reason, StationState, why
+from dpmaster.diagnosis import StationState, why
 from dpmaster.errors import ConfigurationError, DPError, DPTimeout, NotOperatingError, StationError
 from dpmaster.events import Event, EventKind, Events
 from dpmaster.parameters import BusParameters
@@ -258,12 +258,12 @@ class Master:
     # ---- watchdogs
 
     def _predicted_cycle(self) -> float:
-        """s of a whole cycle in which one station is repeated to the limit."""
-        parameters, allowance = self._parameters, self._bus.allowance
+        """s of a whole cycle in which one station is repeated to the limit and the host wakes late once."""
+        parameters = self._parameters
         active = [station for station in self.stations if station.active]
-        seconds = parameters.predict_cycle([(s.output_length, s.input_length) for s in active], allowance)
+        seconds = parameters.predict_cycle([(s.output_length, s.input_length) for s in active]) + self._bus.allowance
         failure = parameters.predict_failure(max((s.output_length for s in active), default=0))
-        seconds += parameters.max_retry_limit * (parameters.seconds(failure) + allowance)
+        seconds += parameters.seconds(parameters.max_retry_limit * failure)
         pause = max((s.min_slave_interval * 1e-4 for s in active), default=0.0)
         return max(seconds, pause, self.cycle_time or 0.0)
 
@@ -379,7 +379,7 @@ class Master:
         return [] if self._bus.wait(ready, timeout) else list(filter(absent, self.stations))
 
     def _missing_error(self, missing: list[Station], timeout: float | None) -> DPError:
-        refusing = [station for station in missing if Reason(station._status().reason).refusal]
+        refusing = [station for station in missing if station._refuses()]
         lines = "; ".join(f"{station.name} (address {station.address}) {station.reason}" for station in missing)
         text = f"{len(missing)} of {len(self.stations)} stations not in Data_Exchange after {timeout} s: {lines}"
         foreign = self._status().foreign

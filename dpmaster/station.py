@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from dpmaster import _core
 from dpmaster._core import NS, ffi, lib
 from dpmaster.bus import Feed, Mode
-from dpmaster.diagnosis import Diagnosis, Reason, StationState, why
+from dpmaster.diagnosis import Diagnosis, Reason, StationState, judge, why
 from dpmaster.errors import ConfigurationError, DPTimeout, NotOperatingError, OutputsDiscarded, StationError
 
 if TYPE_CHECKING:
@@ -200,6 +200,11 @@ class Station:
         """The ``dpm_slave_status``, or None while the master has not begun."""
         master = self._owner()
         return None if self._index is None else master._bus.slave(self._index)
+
+    def _refuses(self) -> bool:
+        """The station says no, rather than nothing."""
+        status = self._status()
+        return status is not None and Reason(judge(status.reason, _diagnosis(status))).refusal
 
     def _trouble(self, status: Any) -> str:
         diagnosis = _diagnosis(status)

@@ -116,7 +116,6 @@ def test_a_diagnosis_has_6_to_244_octets(length: int) -> None:
 @pytest.mark.parametrize(("reason", "detail", "words"), [
     (Reason.NO_ANSWER, StationState.OFFLINE, ["does not answer", "powered"]),
     (Reason.NO_ANSWER, StationState.DATA, ["no longer answers", "Data_Exchange"]),
-    (Reason.SERVICE, 0x03, ["RS"]),
     (Reason.INVALID_ANSWER, 12, ["12 octets"]),
     (Reason.IDENT, 0x0CDA, ["0CDAh", "1234h"]),
     (Reason.PRM_FAULT, 0, ["Prm_Fault", "0959h", "1234h"]),
@@ -133,6 +132,12 @@ def test_every_reason_in_words(reason: int, detail: int, words: list[str]) -> No
     text = why(reason, detail, ident_number=0x1234, configuration=b"\xF3\xF1", diagnosis=decode("42 05 00 FF 09 59"))
     for word in words:
         assert word in text
+
+
+@pytest.mark.parametrize(("octets", "word"), [("42 05 00 FF 12 34", "Prm_Fault"), ("06 05 00 FF 12 34", "Cfg_Fault"),
+                                              ("12 05 00 FF 12 34", "Not_Supported"), ("02 05 00 FF 12 34", "RS")])
+def test_the_diagnosis_says_what_a_refused_service_does_not(octets: str, word: str) -> None:
+    assert word in why(Reason.SERVICE, 0x03, ident_number=0x1234, configuration=b"\x33", diagnosis=decode(octets))
 
 
 def test_nothing_against_a_station_is_no_text() -> None:

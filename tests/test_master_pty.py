@@ -1,0 +1,589 @@
+# SPDX-License-Identifier: MIT
+"""The master with real stations on a segment of ptys: states and reasons, process image, both watchdogs, leaving, by hand.
+
+The cards here are the plainest there are: inputs echo outputs. What a drive makes of it is in the drives' own tests.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from dpmaster import (
+    ConfigurationError,
+    Diagnosis,
+    DPTimeout,
+    Event,
+    EventKind,
+    Frame,
+    Master,
+    Mode,
+    NotOperatingError,
+    OutputsDiscarded,
+    Station,
+    StationError,
+    StationState,
+)
+from dpmaster.emulator import Card, Exchange, Segment, SlaveState
+
+IDENT = 0x1234
+CONFIGURATION = b"\x33"  # 4 octets each way
+SAFE = bytes(4)
+
+
+class Echo(Card):
+    """Inputs are the outputs, zeros while these are not valid. It notes every change of what it was shown."""
+
+    ident_number = IDENT
+    configurations = (CONFIGURATION,)
+    user_parameters = (0, 4)
+
+    def __init__(self, address: int) -> None:
+        self.address = address
+        self.seen: list[tuple[bytes, bool]] = []
+
+    def step(self, now: float, exchange: Exchange) -> bytes:
+        shown = (exchange.outputs, exchange.valid)
+        if exchange.state == SlaveState.DATA_EXCH and shown[0] and (not self.seen or self.seen[-1] != shown):
+            self.seen.append(shown)
+        return exchange.outputs if exchange.valid else SAFE
+
+    def next_step(self, now: float) -> float:
+        return now + 10
+
+    def reset(self, now: float) -> None:
+        pass
+
+    @property
+    def written(self) -> list[bytes]:
+        """The outputs other than zeros that ever took effect, in order."""
+        return [octets for octets, valid in self.seen if valid and any(octets)]
+
+
+class Drive(Station):
+    """A station with a stop word that it wants to see answered."""
+
+    def __init__(self, address: int = 5, fail: bool = False, **options: Any) -> None:
+        super().__init__(address, IDENT, CONFIGURATION, **options)
+        self.fail = fail
+        self.rested: list[str] = []
+
+    def _rest(self) -> None:
+        self.rested.append(threading.current_thread().name)
+        if self.fail:
+            raise RuntimeError("no stop word today")
+        self.wait_sent(self.update(0, b"STOP"), timeout=0.5)
+
+    def _before_operate(self) -> list[str]:
+        return ["is set to hold its reference when the bus is lost"]
+
+
+def until(condition: Callable[[], object], timeout: float = 5.0) -> None:
+    """Poll; the caller's waits would feed the output watchdog."""
+    deadline = time.monotonic() + timeout
+    while not condition():
+        assert time.monotonic() < deadline, "it did not happen"
+        time.sleep(0.002)
+
+
+@pytest.fixture
+def wire() -> Iterator[Segment]:
+    with Segment() as made:
+        yield made
+
+
+@pytest.fixture
+def card(wire: Segment) -> Echo:
+    return wire.attach(Echo(5))
+
+
+@pytest.fixture
+def master(wire: Segment) -> Iterator[Master]:
+    with Master(wire.port()) as made:
+        yield made
+
+
+@pytest.fixture
+def station(master: Master, card: Echo) -> Station:
+    return master.add(Station(5, IDENT, CONFIGURATION))
+
+
+@pytest.fixture
+def running(master: Master, station: Station) -> Station:
+    master.operate()
+    return station
+
+
+# ---- from nothing to Data_Exchange
+
+
+def test_operate_brings_stations_into_data_exchange(master: Master, running: Station, wire: Segment, card: Echo) -> None:
+    assert (master.mode, running.state, running.reason) == (Mode.OPERATE, StationState.DATA, "")
+    assert isinstance(running.diagnosis, Diagnosis)
+    assert (running.diagnosis.ident_number, running.diagnosis.master, running.diagnosis.ready) == (IDENT, 1, True)
+    assert running.statistics.starts == 1
+    # "Ten predicted cycles with retries, at least 100 ms": some 2 ms of bus and 10 ms that the host may be late
+    assert wire.report(card).watchdog == pytest.approx(0.12, abs=0.02)
+
+
+@pytest.mark.parametrize(("options", "words"), [
+    ({"ident_number": 0x4321}, ["1234h", "4321h"]),
+    ({"configuration": b"\x34"}, ["Cfg_Fault", "34"]),
+    ({"user_parameters": bytes(5)}, ["Prm_Fault"]),
+])
+def test_a_station_that_refuses_says_why(master: Master, card: Echo, options: dict[str, Any], words: list[str]) -> None:
+    wanted = {"ident_number": IDENT, "configuration": CONFIGURATION} | options
+    master.add(Station(5, name="mixer", **wanted))
+    with pytest.raises(StationError) as caught:
+        master.operate(timeout=0.5)
+    assert caught.value.address == 5
+    for word in ["mixer (address 5)", *words]:
+        assert word in str(caught.value)
+    assert master.mode == Mode.CLEAR
+
+
+def test_operate_without_those_that_are_missing(master: Master, station: Station) -> None:
+    absent = master.add(Station(9, IDENT, CONFIGURATION))
+    with pytest.raises(DPTimeout, match=r"1 of 2 stations.*station 9"):
+        master.operate(timeout=0.3)
+    assert station.state == StationState.DATA
+    master.operate(timeout=0.3, partial=True)
+    station.wait_sent(station.update(0, b"go!!"))
+    assert absent.state == StationState.OFFLINE
+    assert "does not answer" in absent.reason
+
+
+def test_a_station_added_while_the_bus_runs(wire: Segment, master: Master, running: Station) -> None:
+    wire.attach(Echo(6))
+    late = master.add(Station(6, IDENT, CONFIGURATION))
+    master.operate()
+    late.outputs = b"late"
+    assert late.wait(lambda frame: frame.octets == b"late", 2).valid
+
+
+def test_a_station_may_ask_for_its_own_watchdog(wire: Segment, master: Master, card: Echo,
+                                                caplog: pytest.LogCaptureFixture) -> None:
+    wire.attach(Echo(6))
+    master.add(Station(5, IDENT, CONFIGURATION, watchdog=2.57))  # 257 is prime: 2.58 s is the next that factors say
+    master.add(Station(6, IDENT, CONFIGURATION, name="free", watchdog=None))
+    master.operate()
+    assert wire.report(card).watchdog == pytest.approx(2.58)
+    assert "free: its watchdog is off" in caplog.text
+
+
+# ---- the process image
+
+
+def test_outputs_and_inputs(running: Station) -> None:
+    assert running.outputs == SAFE
+    running.outputs = b"abcd"
+    frame = running.wait(lambda f: f.octets == b"abcd", 2)
+    assert isinstance(frame, Frame)
+    assert frame.valid
+    assert frame.number > 0
+    assert abs(frame.time - time.monotonic()) < 2
+    running.update(1, b"XY")
+    assert running.outputs == b"aXYd"
+    assert running.wait(lambda f: f.octets == b"aXYd", 2).cycle > frame.cycle
+    assert running.inputs == b"aXYd"
+
+
+def test_every_commit_is_sent_whole_and_in_order(running: Station, card: Echo) -> None:
+    """Edges: each commit waited for reaches the card once, none of them torn."""
+    commits = [bytes([n] * 4) for n in range(1, 100)]
+    for octets in commits:
+        number = running.update(0, octets)
+        running.wait_sent(number)
+        running.wait(lambda f, octets=octets: f.octets == octets, 2)
+    assert card.written == commits
+
+
+def test_threads_commit_their_own_octets(running: Station, card: Echo) -> None:
+    def write(offset: int) -> None:
+        for value in range(1, 51):
+            running.wait_sent(running.update(offset, bytes([value])))
+
+    threads = [threading.Thread(target=write, args=(offset,)) for offset in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(20)
+    assert running.wait(lambda f: f.octets == bytes([50] * 4), 2).valid
+    for before, after in zip(card.written, card.written[1:], strict=False):
+        assert all(a <= b for a, b in zip(before, after, strict=True))
+
+
+def test_a_wait_that_is_not_met_says_how_things_stand(running: Station) -> None:
+    with pytest.raises(DPTimeout, match=r"did not come in 0.05 s; the station is in Data_Exchange and the master in Operate"):
+        running.wait(lambda frame: False, 0.05)
+
+
+def test_a_lost_station_comes_back_with_safe_outputs(wire: Segment, running: Station, card: Echo) -> None:
+    """Invariant 4: only a commit made after its return reaches it."""
+    running.outputs = b"run!"
+    running.wait(lambda f: f.octets == b"run!", 2)
+    wire.unplug(card)
+    until(lambda: not running.frame.valid)
+    assert running.inputs == b"run!"
+    assert running.state != StationState.DATA
+    assert "no longer answers (lost in Data_Exchange)" in running.reason
+    lost = running.update(0, b"lost")
+    until(lambda: wire.report(card).watchdog_expired == 1)  # until then the card rightly holds what it has
+    card.seen.clear()
+    wire.plug(card)
+    until(lambda: running.state == StationState.DATA)
+    with pytest.raises(OutputsDiscarded) as caught:
+        running.wait_sent(lost)
+    assert caught.value.number == lost
+    assert running.outputs == SAFE
+    running.outputs = b"back"
+    running.wait(lambda f: f.octets == b"back", 2)
+    assert card.written == [b"back"]
+    assert running.statistics.losses == 1
+
+
+def test_hold_is_for_who_asks_for_it(wire: Segment, master: Master, card: Echo) -> None:
+    station = master.add(Station(5, IDENT, CONFIGURATION, resume="hold"))
+    master.operate()
+    station.outputs = b"hold"
+    station.wait(lambda f: f.octets == b"hold", 2)
+    wire.unplug(card)
+    until(lambda: not station.frame.valid)
+    wire.plug(card)
+    assert station.wait(lambda f: f.octets == b"hold", 5).valid
+
+
+def test_diagnosis_is_fetched_when_the_station_announces_it(wire: Segment, running: Station, card: Echo) -> None:
+    before = running.diagnosis
+    assert before is not None
+    wire.set_diagnosis(card, b"", announce=True)
+    until(lambda: (now := running.diagnosis) is not None and now.number > before.number)
+    assert running.state == StationState.DATA
+
+
+# ---- the output watchdog
+
+
+@pytest.fixture
+def brief(wire: Segment, card: Echo) -> Iterator[Station]:
+    """A running station of a master whose output watchdog is short."""
+    with Master(wire.port(), output_watchdog=0.15) as master:
+        station = master.add(Station(5, IDENT, CONFIGURATION))
+        master.operate()
+        yield station
+
+
+def master_of(station: Station) -> Master:
+    assert station._master is not None
+    return station._master
+
+
+def test_a_program_that_hangs_loses_its_outputs(brief: Station, card: Echo) -> None:
+    master, events = master_of(brief), master_of(brief).events()
+    brief.wait_sent(brief.update(0, b"run!"))
+    until(lambda: card.written == [b"run!"] and not card.seen[-1][1])  # polling is no feeding
+    assert master.mode == Mode.CLEAR
+    kinds = {event.kind: event for event in iter(lambda: events.take(0), None)}
+    assert "fed it last" in str(kinds[EventKind.WATCHDOG])
+    with pytest.raises(NotOperatingError, match=r"0.15 s, last was a wait in the thread.*operate\(\)"):
+        brief.outputs = b"more"
+    master.operate()
+    assert brief.outputs == SAFE
+    brief.outputs = b"anew"
+    brief.wait(lambda f: f.octets == b"anew", 2)
+    assert card.written == [b"run!", b"anew"]
+
+
+def outlasts(master: Master) -> float:
+    """A time that is long for the output watchdog."""
+    assert master.output_watchdog is not None
+    return time.monotonic() + 3 * master.output_watchdog
+
+
+@pytest.mark.parametrize("kind", ["cycles", "wait", "commit", "feed"])
+def test_what_feeds_the_output_watchdog(brief: Station, kind: str) -> None:
+    master = master_of(brief)
+    brief.outputs = b"run!"
+    end = outlasts(master)
+    while (left := end - time.monotonic()) > 0:
+        if kind == "cycles":
+            master.wait_cycle()
+        elif kind == "wait":
+            with pytest.raises(DPTimeout):
+                brief.wait(lambda frame: False, left)
+        elif kind == "commit":
+            brief.update(0, b"r")
+        else:
+            master.feed()
+    assert master.mode == Mode.OPERATE
+
+
+@pytest.mark.parametrize("kind", ["reads", "events", "another thread"])
+def test_what_does_not_feed_the_output_watchdog(brief: Station, kind: str) -> None:
+    """"Never by reads, events or other threads.\""""
+    master = master_of(brief)
+    events = master.events()
+    brief.outputs = b"run!"
+
+    def other() -> None:
+        while master.mode == Mode.OPERATE:
+            master.wait_cycle()
+
+    if kind == "another thread":
+        thread = threading.Thread(target=other)
+        thread.start()
+    end = outlasts(master)
+    while time.monotonic() < end and master.mode == Mode.OPERATE:
+        if kind == "events":
+            events.take(0.01)
+        elif kind == "reads":
+            assert len(brief.inputs) == 4
+        else:
+            thread.join(0.01)
+    assert master.mode == Mode.CLEAR
+    with pytest.raises(NotOperatingError):
+        brief.outputs = b"run!"
+
+
+def test_operating_twice_changes_nothing(brief: Station) -> None:
+    """A second operate() takes the watchdog's last feed for no new start: a program that hangs behind it is still caught."""
+    master = master_of(brief)
+    brief.outputs = b"run!"
+    master.operate()
+    assert brief.outputs == b"run!"
+    until(lambda: master.mode == Mode.CLEAR)
+
+
+def test_no_output_watchdog_is_logged(wire: Segment, card: Echo, caplog: pytest.LogCaptureFixture) -> None:
+    with Master(wire.port(), output_watchdog=None) as master:
+        master.add(Station(5, IDENT, CONFIGURATION))
+        master.operate()
+    assert "the output watchdog is off" in caplog.text
+
+
+# ---- leaving
+
+
+@pytest.mark.parametrize("way", ["clear", "stop", "offline", "close"])
+def test_the_stop_word_comes_before_clear(master: Master, card: Echo, way: str) -> None:
+    drive = master.add(Drive())
+    master.operate()
+    drive.outputs = b"RUN!"
+    drive.wait_sent(1)
+    getattr(master, way)()
+    until(lambda: not card.seen[-1][1] or way != "clear")
+    assert card.written == [b"RUN!", b"STOP"]
+    assert len(drive.rested) == 1
+    if way != "close":
+        assert master.mode == {"clear": Mode.CLEAR, "stop": Mode.STOP, "offline": Mode.OFFLINE}[way]
+        getattr(master, way)()
+        assert len(drive.rested) == 1
+
+
+def test_leaving_unlocks_the_stations(wire: Segment, master: Master, running: Station, card: Echo) -> None:
+    assert wire.report(card).master == 1
+    master.stop()
+    assert wire.report(card).master is None
+    assert running.state != StationState.DATA
+
+
+def test_a_stop_word_that_fails_keeps_nobody(wire: Segment, caplog: pytest.LogCaptureFixture) -> None:
+    cards = [wire.attach(Echo(address)) for address in (5, 6)]
+    with Master(wire.port()) as master:
+        drives = [master.add(Drive(5, fail=True)), master.add(Drive(6))]
+        master.operate()
+        for drive in drives:
+            drive.wait_sent(drive.update(0, b"RUN!"))
+    assert [card.written for card in cards] == [[b"RUN!"], [b"RUN!", b"STOP"]]
+    assert "no stop word today" in caplog.text
+    assert master.closed
+
+
+def test_a_station_that_is_gone_is_not_asked_to_rest(wire: Segment, master: Master, card: Echo) -> None:
+    drive = master.add(Drive())
+    master.operate()
+    wire.unplug(card)
+    until(lambda: drive.state != StationState.DATA)
+    start = time.monotonic()
+    master.close()
+    assert drive.rested == []
+    assert time.monotonic() - start < 2
+
+
+def test_a_warning_before_operate(master: Master, card: Echo, caplog: pytest.LogCaptureFixture) -> None:
+    master.add(Drive())
+    master.operate()
+    assert "station 5: is set to hold" in caplog.text
+
+
+def test_ctrl_c_leaves_through_the_stop_word(wire: Segment, card: Echo) -> None:
+    with pytest.raises(KeyboardInterrupt), Master(wire.port()) as master:
+        drive = master.add(Drive())
+        master.operate()
+        drive.wait_sent(drive.update(0, b"RUN!"))
+        threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGINT)).start()
+        drive.wait(lambda frame: False, None)
+    assert card.written == [b"RUN!", b"STOP"]
+
+
+PROGRAM = """
+import sys
+from dpmaster import Master, Station
+class Drive(Station):
+    def _rest(self):
+        self.wait_sent(self.update(0, b"STOP"), timeout=0.5)
+master = Master(sys.argv[1])
+drive = master.add(Drive(5, 0x1234, bytes([0x33])))
+master.operate()
+drive.wait_sent(drive.update(0, b"RUN!"))
+print("runs", flush=True)
+"""
+
+
+def program(wire: Segment, end: str) -> subprocess.Popen[str]:
+    child = subprocess.Popen([sys.executable, "-c", PROGRAM + end, wire.port()], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                             text=True)
+    assert child.stdout is not None
+    assert child.stdout.readline() == "runs\n"
+    return child
+
+
+def test_a_program_that_just_ends_says_its_stop_word(wire: Segment, card: Echo) -> None:
+    child = program(wire, "")
+    assert child.communicate(timeout=20) == ("", "")
+    assert child.returncode == 0
+    assert card.written == [b"RUN!", b"STOP"]
+
+
+def test_a_program_that_is_killed_leaves_it_to_the_slaves_watchdog(wire: Segment, card: Echo) -> None:
+    child = program(wire, "drive.wait(lambda frame: False, None)")
+    child.kill()
+    child.communicate(timeout=20)
+    until(lambda: wire.report(card).watchdog_expired == 1)
+    assert wire.report(card).state == SlaveState.WAIT_PRM
+    assert card.written == [b"RUN!"]
+
+
+def test_a_program_that_was_stopped_for_a_while_does_not_run_on(wire: Segment, card: Echo) -> None:
+    """SIGSTOP, the slave's watchdog, SIGCONT: outputs stay safe until a new command."""
+    child = program(wire, "drive.wait(lambda frame: False, None)")
+    os.kill(child.pid, signal.SIGSTOP)
+    until(lambda: wire.report(card).watchdog_expired == 1)
+    card.seen.clear()
+    os.kill(child.pid, signal.SIGCONT)
+    before = wire.report(card).exchanges
+    until(lambda: wire.report(card).exchanges > before + 20)
+    assert card.written == []
+    child.send_signal(signal.SIGINT)
+    child.communicate(timeout=20)
+    assert child.returncode != 0
+
+
+# ---- by hand
+
+
+def test_step_by_step(wire: Segment, master: Master, card: Echo) -> None:
+    station = master.add(Station(5, IDENT, CONFIGURATION, active=False))
+    diagnosis = station.slave_diag()
+    assert not diagnosis.ready
+    station.set_prm(watchdog=2.0)
+    assert wire.report(card).state == SlaveState.WAIT_CFG
+    assert wire.report(card).watchdog == pytest.approx(2.0)
+    station.chk_cfg()
+    until(lambda: station.slave_diag().ready)
+    until(lambda: station.data_exchange(b"hand") == b"hand")
+    with pytest.raises(StationError, match=r"refuses Data_Exchange"):
+        station.data_exchange(b"too long")
+    station.set_prm(lock=False, unlock=True)
+    assert wire.report(card).master is None
+    assert station.state == StationState.INACTIVE
+
+
+def test_a_refusal_by_hand_is_in_the_diagnosis(master: Master, card: Echo) -> None:
+    station = master.add(Station(5, IDENT, CONFIGURATION, active=False))
+    station.set_prm(ident_number=0x4321)
+    assert "refuses the parameters" in station.slave_diag().texts
+    station.set_prm()
+    station.chk_cfg(b"\x34")
+    assert "refuses the configuration" in station.slave_diag().texts
+
+
+@pytest.mark.parametrize("call", [lambda s: s.set_prm(), lambda s: s.chk_cfg(), lambda s: s.data_exchange(b"hand")])
+def test_services_by_hand_are_not_for_stations_in_the_cycle(running: Station, call: Callable[[Station], object]) -> None:
+    with pytest.raises(NotOperatingError, match=r"in the master's cycle.*active=False"):
+        call(running)
+    assert running.slave_diag().ready
+    assert running.state == StationState.DATA
+
+
+def test_requests_say_what_came_back(master: Master, running: Station) -> None:
+    status = master.request(5, "FDL_STATUS")
+    assert (status.fc, status.data, status.tries, status.ok) == (0x00, b"", 1, True)
+    assert status.tsdr is None or 0 <= status.tsdr < 1
+    configuration = master.request(5, "SRD", 59, 62)  # Get_Cfg
+    assert configuration.data == CONFIGURATION
+    closed = master.request(5, "SRD", 20, 62)
+    assert (closed.ok, closed.meaning) == (False, "RS: service not activated")
+    assert running.state == StationState.DATA
+
+
+def test_requests_of_many_threads_take_turns(master: Master, running: Station) -> None:
+    got: list[bytes] = []
+    threads = [threading.Thread(target=lambda: got.append(master.request(5, "SRD", 59, 62, timeout=10).data)) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(20)
+    assert got == [CONFIGURATION] * 8
+
+
+# ---- what is told
+
+
+def test_events_tell_the_way_into_data_exchange(master: Master, station: Station) -> None:
+    events = master.events()
+    master.operate()
+    seen: list[Event] = []
+    while not any(event.kind == EventKind.MODE and event.a == Mode.OPERATE for event in seen):
+        event = events.take(2)
+        assert event is not None
+        seen.append(event)
+    states = [StationState(event.a) for event in seen if event.kind == EventKind.STATE]
+    assert states[-1] == StationState.DATA
+    assert {event.address for event in seen if event.kind == EventKind.STATE} == {5}
+    assert [event.number for event in seen] == list(range(1, len(seen) + 1))
+
+
+def test_the_log_tells_a_loss_once(wire: Segment, master: Master, running: Station, card: Echo,
+                                   caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, "dpmaster")
+    wire.unplug(card)
+    until(lambda: "no longer answers" in caplog.text)
+    tries = master.statistics.unanswered
+    until(lambda: master.statistics.unanswered >= tries + 3)
+    wire.plug(card)
+    until(lambda: "-> DATA" in caplog.text)
+    assert caplog.text.count("station 5 no longer answers") == 1
+
+
+def test_statistics_count_what_was_done(master: Master, running: Station) -> None:
+    for _ in range(3):
+        master.wait_cycle()
+    statistics = master.statistics
+    assert statistics.cycle >= 3
+    assert statistics.answers >= running.statistics.exchanges > 0
+    assert 0 < statistics.cycle_last <= statistics.cycle_max
+    assert sum(statistics.rejected.values()) == 0
+    assert statistics.port.profile == "pty"
+    assert statistics.port.octets_in > 0
+    with pytest.raises(ConfigurationError):
+        master.add(Station(5, IDENT, CONFIGURATION))
