@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: MIT
 """The package pyprofibus as the other master of the benchmark, in a process of its own: PATH RATE ADDRESS SECONDS.
 
-Prints one JSON line: Data_Exchange answered, the seconds they took, the processor's seconds. The package is under the GPL:
+Prints one JSON line: Data_Exchange answered, the seconds they took, the processor's seconds, and of each exchange the ns from
+its request written to its answer complete. The package is under the GPL:
 it is installed for the benchmark only, run as this separate program, and nothing of dpmaster imports it.
 """
 
@@ -17,6 +18,24 @@ from pyprofibus.dp_master import DPM1, DpSlaveDesc
 from pyprofibus.phy_serial import CpPhySerial
 
 IDENT, CONFIGURATION, LENGTH = 0x00CA, 0x72, 6  # SI-P1, Basic data: three words each way
+
+
+class Phy(CpPhySerial):
+    """Its serial port with a watch on it."""
+
+    def __init__(self, port: str) -> None:
+        super().__init__(port=port)
+        self.begin, self.durations = 0, list[int]()
+
+    def sendData(self, telegramData: bytes, srd: bool) -> None:
+        self.begin = time.monotonic_ns()
+        super().sendData(telegramData, srd)
+
+    def pollData(self, timeout: float = 0.0) -> bytes | None:
+        telegram: bytes | None = super().pollData(timeout)
+        if telegram is not None:
+            self.durations.append(time.monotonic_ns() - self.begin)
+        return telegram
 
 
 def slave(address: int) -> DpSlaveDesc:
@@ -54,16 +73,17 @@ def exchange(master: DPM1, station: DpSlaveDesc, seconds: float) -> tuple[int, f
 
 def main(path: str, rate: int, address: int, seconds: float) -> None:
     with contextlib.redirect_stdout(sys.stderr):  # it prints warnings about the rate
-        phy = CpPhySerial(port=path)
+        phy = Phy(path)
         phy.setConfig(baudrate=rate)
         master = DPM1(phy=phy, masterAddr=1)
         station = slave(address)
         master.addSlave(station)
         master.initialize()
         connect(master, station)
+        phy.durations.clear()
         count, elapsed, cpu = exchange(master, station, seconds)
         master.destroy()
-    print(json.dumps({"exchanges": count, "seconds": elapsed, "cpu": cpu}))
+    print(json.dumps({"exchanges": count, "seconds": elapsed, "cpu": cpu, "durations": phy.durations}))
 
 
 if __name__ == "__main__":
