@@ -244,6 +244,20 @@ def test_rs_ue_rr_at_each_step_lead_back_to_slave_diag(code, step):
     assert bus.next()[7] == 0x3C
 
 
+def test_the_diagnosis_behind_an_rs_names_the_reason():
+    """A slave that dislikes its parameters refuses Chk_Cfg with RS; only Slave_Diag says why."""
+    bus = Bus()
+    for answer in (FREE, SC, RS):
+        bus.next()
+        bus.script.answer(answer)
+    assert bus.slave.reason == lib.DPM_WHY_SERVICE
+    bus.next()
+    bus.script.answer(diagnosis(0x42, 0x05, 0, 0xFF, 0x0A, 0x35))
+    assert bus.slave.reason == lib.DPM_WHY_PRM_FAULT
+    assert [e.a for e in bus.master.events() if e.kind == lib.DPM_EV_FAULT] == [lib.DPM_WHY_SERVICE, lib.DPM_WHY_PRM_FAULT]
+    assert bus.next()[7] == 0x3D
+
+
 @pytest.mark.parametrize("tsdr", [6, 11, 60, 90])
 def test_answers_from_6_to_90_bits_after_the_request(tsdr):
     """traces/README, last demand."""
@@ -592,6 +606,19 @@ def test_the_output_watchdog_makes_everything_safe_and_latches():
     assert bus.exchange()[7:9] == b"\0\0", "the old commit is gone for good"
     bus.master.commit(0, b"\x33\x33", bus.script.now)
     assert bus.exchange()[7:9] == b"\x33\x33"
+
+
+def test_a_commit_made_in_clear_is_watched_from_operate_on():
+    bus = Bus(output_watchdog=1 * S)
+    bus.start()
+    bus.master.commit(0, b"\x11\x11", bus.script.now)
+    began = bus.script.now
+    bus.master.mode(lib.DPM_MODE_OPERATE, began)
+    bus.exchange()
+    while bus.exchange()[7:9] == b"\x11\x11":
+        pass
+    assert began + 1 * S < bus.script.last.start < began + 1.003 * S
+    assert bus.master.status.latched and bus.master.status.fed_by == lib.DPM_FED_OPERATE
 
 
 def test_feeding_keeps_the_outputs():

@@ -6,6 +6,8 @@ Golden octets are captures (protocol page B.4); times are exact, in bit times at
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import pytest
 from wire import MS, NEVER, Master, Offer, Script, default_parameters, feed, lib, octets
 
@@ -34,6 +36,7 @@ def test_claim_after_tto_with_two_tokens_and_idle_times(rate):
     """Tto = (6 + 2 n) Tsl of silence, then DC TS TS twice (protocol page E.1, B.4 #34); Tid1 behind a token."""
     tsl, tid1, tid2 = SETS[rate]
     master = Master(rate, address=2)
+    master.add(8, 0x0A35, octets("21"))
     master.mode(lib.DPM_MODE_CLEAR)
     script = Script(master)
     assert script.next(tokens=True) == octets("DC 02 02")
@@ -46,7 +49,7 @@ def test_claim_after_tto_with_two_tokens_and_idle_times(rate):
     assert script.next(tokens=True) == octets("68 07 07 68 FF 82 46 3A 3E 02 00 41 16")
     assert script.idle_bits(end) == pytest.approx(tid1, abs=0.1)
     end = script.last.end
-    script.next(tokens=True)
+    assert script.next(tokens=True) == octets("68 05 05 68 88 82 6D 3C 3E F1 16")  # B.4 #17
     assert script.idle_bits(end) == pytest.approx(tid2, abs=0.1), "Tid2 behind a telegram without answer"
 
 
@@ -92,6 +95,27 @@ def test_a_host_that_was_away_listens_before_it_talks():
     began = script.now
     assert script.next(tokens=True) == octets("DC 02 02")
     assert script.idle_bits(began) >= 10 * 200, "a whole Tto of listening"
+
+
+def test_a_sole_masters_turn_is_ten_slots_at_most():
+    """A cycle's end passes the token once that time has passed; in between the next cycle needs no telegram of its own."""
+    master = Master(500_000, address=2)
+    master.add(8, 0x0A35, octets("21"))
+    master.mode(lib.DPM_MODE_CLEAR)
+    script = Script(master)
+    configured, tokens = False, []
+    while len(tokens) < 30:
+        telegram = script.next(tokens=True)
+        if telegram == octets("DC 02 02"):
+            tokens.append(script.last.start)
+        elif telegram[4:5] == b"\x88":
+            configured |= telegram[7] == 62
+            script.answer((READY if configured else DIAG) if telegram[7] == 60 else octets("E5"))
+        elif telegram[4:5] == b"\x08":
+            script.answer("E5")
+    cycle = script.bits(11 * 12 + 11 + 37)
+    assert all(b - a <= script.bits(10 * 200) + 3 * cycle for a, b in pairwise(tokens))
+    assert max(b - a for a, b in pairwise(tokens[5:])) > script.bits(10 * 200)
 
 
 # --- foreign masters ----------------------------------------------------------------------------------------------

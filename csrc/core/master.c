@@ -29,6 +29,7 @@ static void put_event(dpm_master *m, int64_t now, uint16_t kind, int32_t a, int3
 
 static void make_outputs_safe(dpm_master *m, bool latch)
 {
+    atomic_store_explicit(&m->armed, false, memory_order_release);
     for (unsigned i = 0; i < m->n_slaves; i++)
         dpm_outputs_make_safe(m->slaves[i].outputs, latch);
 }
@@ -183,7 +184,7 @@ static void finish_leaving(dpm_master *m, int64_t now)
     m->leaving = false;
     enter_mode(m, m->target, now);
     if (m->target == DPM_MODE_OFFLINE)
-        dpm_station_online(&m->station, false);
+        dpm_station_online(&m->station, false, now);
 }
 
 static int master_next(void *context, int64_t now, dpm_request *request, int64_t *wake)
@@ -318,8 +319,7 @@ static void leave(dpm_master *m, uint8_t target, int64_t now)
 static void operate(dpm_master *m, int64_t now)
 {
     m->latched = false;
-    atomic_store_explicit(&m->armed, false, memory_order_release);
-    dpm_master_feed(m, now, DPM_FED_OPERATE);
+    dpm_master_feed(m, now, DPM_FED_OPERATE); /* what was committed in Clear comes alive now, and is watched from now */
     for (unsigned i = 0; i < m->n_slaves; i++)
         dpm_outputs_unlatch(m->slaves[i].outputs);
     enter_mode(m, DPM_MODE_OPERATE, now);
@@ -331,7 +331,7 @@ int dpm_master_set_mode(dpm_master *master, int mode, int64_t now)
         return DPM_E_ARGUMENT;
     master->station.users_wake = 0;
     if (mode != DPM_MODE_OFFLINE)
-        dpm_station_online(&master->station, master->port_works);
+        dpm_station_online(&master->station, master->port_works, now);
     if (master->mode == DPM_MODE_OPERATE && mode != DPM_MODE_OPERATE)
         make_outputs_safe(master, false);
     if (mode <= DPM_MODE_STOP && master->mode != mode) {
@@ -349,10 +349,10 @@ int dpm_master_set_mode(dpm_master *master, int mode, int64_t now)
 void dpm_master_port(dpm_master *master, bool working, int64_t now)
 {
     master->port_works = working;
-    dpm_station_online(&master->station, false);
+    dpm_station_online(&master->station, false, now);
     lose_all(master, now);
     if (working && master->mode != DPM_MODE_OFFLINE)
-        dpm_station_online(&master->station, true);
+        dpm_station_online(&master->station, true, now);
     finish_leaving(master, now);
 }
 

@@ -48,7 +48,7 @@ struct dpm_master {
     bool port_works;
     _Atomic int64_t fed_at;
     _Atomic int fed_by;
-    atomic_bool armed;    /* a commit was made since operate() */
+    atomic_bool armed;    /* a commit was made since the outputs were made safe */
 
     bool fresh_token;     /* a turn of the token that has not begun a cycle yet */
     bool in_cycle;

@@ -258,15 +258,25 @@ static uint8_t fault_of(const dpm_slave *slave, int32_t *detail)
     return d[1] & PRM_REQ ? DPM_WHY_PRM_REQ : DPM_WHY_NONE;
 }
 
-/* First contact: old faults do not count, Set_Prm will tell. A device of another ident is never parameterised. */
+static bool explains_refusal(const dpm_slave *slave, uint8_t fault)
+{
+    return slave->reason == DPM_WHY_SERVICE &&
+           (fault == DPM_WHY_PRM_FAULT || fault == DPM_WHY_CFG_FAULT || fault == DPM_WHY_NOT_SUPPORTED);
+}
+
+/* First contact: old faults do not count, Set_Prm will tell, unless they say why the slave has just refused a service.
+ * A device of another ident is never parameterised. */
 static void judge_first_diagnosis(dpm_master *m, dpm_slave *slave, int64_t now)
 {
     int32_t detail;
     const uint8_t fault = fault_of(slave, &detail);
-    if (fault == DPM_WHY_IDENT || fault == DPM_WHY_LOCKED)
+    if (fault == DPM_WHY_IDENT || fault == DPM_WHY_LOCKED) {
         refused(m, slave, now, fault, detail);
-    else
-        enter(m, slave, now, DPM_ST_PRM);
+        return;
+    }
+    if (explains_refusal(slave, fault))
+        fall_back(m, slave, now, slave->state, fault, detail);
+    enter(m, slave, now, DPM_ST_PRM);
 }
 
 static void judge_second_diagnosis(dpm_master *m, dpm_slave *slave, int64_t now)

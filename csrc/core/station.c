@@ -258,17 +258,22 @@ static void station_quiet(dpm_machine *machine, int64_t until)
         slot_ran_out(st, until);
 }
 
-static void token_sent(dpm_station *st, int64_t now)
+static void begin_turn(dpm_station *st, int64_t now)
 {
-    st->statistics.tokens++;
-    if (st->state == DPM_FDL_CLAIM_TOKEN && --st->claims > 0)
-        return;
-    /* NS is TS: passing the token is receiving it. */
     st->worked = false;
     enter(st, DPM_FDL_USE_TOKEN, now);
     for (unsigned i = 0; i < st->n_users; i++)
         if (st->users[i].token)
             st->users[i].token(st->users[i].context, now, true);
+}
+
+static void token_sent(dpm_station *st, int64_t now)
+{
+    st->statistics.tokens++;
+    if (st->state == DPM_FDL_CLAIM_TOKEN && --st->claims > 0)
+        return;
+    st->token_at = now;
+    begin_turn(st, now); /* NS is TS: passing the token is receiving it */
 }
 
 static void request_sent(dpm_station *st)
@@ -370,7 +375,8 @@ static void make_token(dpm_station *st)
     st->tx_not_before = st->not_before;
 }
 
-/* The token is held: work of the users by priority, else pass it on. With nothing to do the token still goes round
+/* The token is held: work of the users by priority, else pass it on. A sole master with more to do begins its next turn
+ * without a telegram, ten slot times long at most (within any Ttr); with nothing to do the token still goes round
  * before the bus has been silent for two thirds of the shortest Tto, so that no other master takes it for lost. Returns
  * when to look again. */
 static int64_t use_token(dpm_station *st, int64_t now)
@@ -389,6 +395,10 @@ static int64_t use_token(dpm_station *st, int64_t now)
             return now; /* the user went offline */
     }
     st->users_wake = wake;
+    if (st->worked && wake <= now && now < st->token_at + st->turn) {
+        begin_turn(st, now);
+        return now;
+    }
     if (!st->worked && wake > now && now < idle_end)
         return min_of(wake, idle_end);
     st->state = DPM_FDL_PASS_TOKEN;
@@ -473,6 +483,7 @@ static void derive_times(dpm_station *st, const dpm_parameters *p, uint8_t addre
     st->min_tsdr = dpm_bits_up(p, p->min_tsdr);
     st->max_tsdr = dpm_bits_down(p, p->max_tsdr);
     st->idle = 4 * st->tsl; /* Tto of address 0, the shortest, is 6 Tsl */
+    st->turn = 10 * st->tsl;
 }
 
 int dpm_station_init(void *block, size_t size, const dpm_station_config *config, dpm_station **station)
@@ -528,9 +539,8 @@ int dpm_station_remove_ring(dpm_station *station, dpm_ring *ring)
     return swap_ring(station, ring, NULL, DPM_E_ARGUMENT);
 }
 
-void dpm_station_online(dpm_station *station, bool online)
+void dpm_station_online(dpm_station *station, bool online, int64_t now)
 {
-    const int64_t now = max_of(station->last_activity, 0);
     if (online == (station->state != DPM_FDL_OFFLINE))
         return;
     if (station->user)

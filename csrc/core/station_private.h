@@ -26,11 +26,12 @@ struct dpm_station {
     dpm_fdl_statistics statistics;
     dpm_receiver receiver;
     /* the bus parameters in ns: minima rounded up, maxima down */
-    int64_t tsl, tid1, tid2, tto, tsyn, tsyni, min_tsdr, max_tsdr, idle;
+    int64_t tsl, tid1, tid2, tto, tsyn, tsyni, min_tsdr, max_tsdr, idle, turn;
 
     uint8_t state;         /* enum dpm_fdl_state */
     uint8_t claims;        /* tokens still to send in Claim_Token */
     bool worked;           /* something was sent since the token came */
+    int64_t token_at;      /* the token came */
     int64_t users_wake;    /* no user has work before this; 0: not known, ask them */
     int64_t last_activity; /* latest end of anything on the bus, ours too; -1: nothing known yet */
     int64_t not_before;    /* Tid1 or Tid2 after it: the earliest next transmission of ours */

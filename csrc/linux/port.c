@@ -28,7 +28,7 @@ enum {
 };
 
 /* The end of a wait is spun, for the kernel wakes some tens of microseconds late even with the timer slack gone. */
-#define SPIN INT64_C(60000)
+#define SPIN INT64_C(40000)
 /* Longer waits end without a spin: time-outs, idle bus, the next cycle are no matter of microseconds, and a spin for
  * each of them would cost more than the exchange. */
 #define SHORT INT64_C(250000)

@@ -98,7 +98,7 @@ DPM_API int dpm_station_add_user(dpm_station *station, const dpm_fdl_user *user)
 DPM_API int dpm_station_add_ring(dpm_station *station, dpm_ring *ring);
 DPM_API int dpm_station_remove_ring(dpm_station *station, dpm_ring *ring);
 /* Leave Offline for Listen_Token, or go Offline at once: nothing more is sent. */
-DPM_API void dpm_station_online(dpm_station *station, bool online);
+DPM_API void dpm_station_online(dpm_station *station, bool online, int64_t now);
 DPM_API int dpm_station_state(const dpm_station *station);
 DPM_API void dpm_station_statistics(const dpm_station *station, dpm_fdl_statistics *statistics);
 /* Forget a station's frame count bit: the next request to it is a first contact (FCB = 1, FCV = 0). */
