@@ -375,16 +375,10 @@ static void make_token(dpm_station *st)
     st->tx_not_before = st->not_before;
 }
 
-/* The token is held: work of the users by priority, else pass it on. A sole master with more to do begins its next turn
- * without a telegram, ten slot times long at most (within any Ttr); with nothing to do the token still goes round
- * before the bus has been silent for two thirds of the shortest Tto, so that no other master takes it for lost. Returns
- * when to look again. */
-static int64_t use_token(dpm_station *st, int64_t now)
+/* Ask the users by priority for a request; without one, when they may have one. */
+static int64_t ask_users(dpm_station *st, int64_t now)
 {
     int64_t wake = DPM_NEVER;
-    const int64_t idle_end = st->last_activity + st->idle;
-    if (now < st->not_before)
-        return max_of(st->not_before, min_of(st->users_wake, idle_end));
     for (unsigned i = 0; i < st->n_users; i++) {
         dpm_request request = {.dsap = DPM_NO_SAP, .ssap = DPM_NO_SAP};
         if (st->users[i].next(st->users[i].context, now, &request, &wake)) {
@@ -394,13 +388,27 @@ static int64_t use_token(dpm_station *st, int64_t now)
         if (st->state != DPM_FDL_USE_TOKEN)
             return now; /* the user went offline */
     }
-    st->users_wake = wake;
-    if (st->worked && wake <= now && now < st->token_at + st->turn) {
+    return wake;
+}
+
+/* The token is held: work of the users, else pass it on. A sole master with more to do begins its next turn without a
+ * telegram, ten slot times long at most (within any Ttr); with nothing to do the token still goes round before the bus
+ * has been silent for two thirds of the shortest Tto, so that no other master takes it for lost. Returns when to look
+ * again. */
+static int64_t use_token(dpm_station *st, int64_t now)
+{
+    const int64_t idle_end = st->last_activity + st->idle;
+    if (now < st->not_before)
+        return max_of(st->not_before, min_of(st->users_wake, idle_end));
+    st->users_wake = ask_users(st, now);
+    if (st->tx_kind == DPM_TX_NONE && st->worked && st->users_wake <= now && now < st->token_at + st->turn) {
         begin_turn(st, now);
-        return now;
+        st->users_wake = ask_users(st, now);
     }
-    if (!st->worked && wake > now && now < idle_end)
-        return min_of(wake, idle_end);
+    if (st->tx_kind != DPM_TX_NONE || st->state != DPM_FDL_USE_TOKEN)
+        return now;
+    if (!st->worked && st->users_wake > now && now < idle_end)
+        return min_of(st->users_wake, idle_end);
     st->state = DPM_FDL_PASS_TOKEN;
     return now;
 }
