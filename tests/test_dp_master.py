@@ -640,9 +640,10 @@ def test_a_stopped_process_comes_back_with_safe_outputs():
     bus.master.commit(0, b"\x11\x11", bus.script.now)
     bus.exchange()
     bus.script.now += 3 * S
+    lib.dpm_master_feed(bus.master.master, bus.script.now, lib.DPM_FED_WAIT)  # the program's wait, awake before the bus thread
     while (telegram := bus.next(tokens=True))[0] == 0xDC:
         pass
-    assert telegram[7:9] == b"\0\0" and bus.master.status.latched
+    assert telegram[7:9] == b"\0\0" and bus.master.status.latched and bus.master.status.fed_by == lib.DPM_FED_COMMIT
 
 
 def test_leaving_clears_and_unlocks():

@@ -44,8 +44,18 @@ static void enter_mode(dpm_master *m, uint8_t mode, int64_t now)
     put_event(m, now, DPM_EV_MODE, mode, old);
 }
 
+/* Behind its time a feed is too late, also where the bus thread has slept as long as the program (SIGSTOP, a suspended
+ * machine) and has yet to judge: "when the program hangs, drives do not run on". */
+static bool too_late(const dpm_master *m, int64_t now)
+{
+    return m->config.output_watchdog && atomic_load_explicit(&m->armed, memory_order_acquire) &&
+           now > atomic_load_explicit(&m->fed_at, memory_order_acquire) + m->config.output_watchdog;
+}
+
 void dpm_master_feed(dpm_master *master, int64_t now, int by)
 {
+    if (too_late(master, now))
+        return;
     atomic_store_explicit(&master->fed_by, by, memory_order_relaxed);
     atomic_store_explicit(&master->fed_at, now, memory_order_release);
     if (by == DPM_FED_COMMIT)

@@ -159,7 +159,7 @@ DPM_API int dpm_master_get_slave(const dpm_master *master, int index, dpm_slave_
 /* The port vanished or came back: everything is lost, or starts anew. */
 DPM_API void dpm_master_port(dpm_master *master, bool working, int64_t now);
 
-/* From any thread: the program lives. `by` is an enum dpm_feed. */
+/* From any thread: the program lives. `by` is an enum dpm_feed. Ignored once the output watchdog's time has passed. */
 DPM_API void dpm_master_feed(dpm_master *master, int64_t now, int by);
 
 /* Bench and `perf`: record, for each Data_Exchange answered at the first try, the ns from its request's start to the
