@@ -612,6 +612,7 @@ def test_a_commit_made_in_clear_is_watched_from_operate_on():
     bus = Bus(output_watchdog=1 * S)
     bus.start()
     bus.master.commit(0, b"\x11\x11", bus.script.now)
+    bus.script.now += 5 * S  # longer ago than the watchdog's time, which only Operate counts
     began = bus.script.now
     bus.master.mode(lib.DPM_MODE_OPERATE, began)
     bus.exchange()

@@ -52,12 +52,17 @@ static bool too_late(const dpm_master *m, int64_t now)
            now > atomic_load_explicit(&m->fed_at, memory_order_acquire) + m->config.output_watchdog;
 }
 
+static void feed(dpm_master *m, int64_t now, int by)
+{
+    atomic_store_explicit(&m->fed_by, by, memory_order_relaxed);
+    atomic_store_explicit(&m->fed_at, now, memory_order_release);
+}
+
 void dpm_master_feed(dpm_master *master, int64_t now, int by)
 {
     if (too_late(master, now))
         return;
-    atomic_store_explicit(&master->fed_by, by, memory_order_relaxed);
-    atomic_store_explicit(&master->fed_at, now, memory_order_release);
+    feed(master, now, by);
     if (by == DPM_FED_COMMIT)
         atomic_store_explicit(&master->armed, true, memory_order_release);
 }
@@ -329,7 +334,7 @@ static void leave(dpm_master *m, uint8_t target, int64_t now)
 static void operate(dpm_master *m, int64_t now)
 {
     m->latched = false;
-    dpm_master_feed(m, now, DPM_FED_OPERATE); /* what was committed in Clear comes alive now, and is watched from now */
+    feed(m, now, DPM_FED_OPERATE); /* what was committed in Clear comes alive now, and is watched from now */
     for (unsigned i = 0; i < m->n_slaves; i++)
         dpm_outputs_unlatch(m->slaves[i].outputs);
     enter_mode(m, DPM_MODE_OPERATE, now);
