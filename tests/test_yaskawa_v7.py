@@ -7,6 +7,7 @@ import itertools
 import threading
 
 import pytest
+from appendix_b import B2_READ, B3_READ_ERROR, B4_WRITE, B5_WRITE_ERROR
 from v7_bench import VirtualV7, rows
 
 from dpmaster.drives import YaskawaV7
@@ -32,41 +33,7 @@ def bench(configuration: str = "Extended Data 1", *, cycle: float = 0.001, **arg
     return VirtualV7(SIP1(5, **card), configuration, cycle=cycle, **arguments)  # type: ignore[arg-type]
 
 
-# -- Appendix B. Rows: (command, response) as "message handshake"; function, address, quantity, data 1, then HS and STATUS.
-# Rows that say "ignore all response data" have none. STATUS 00, 01, 10, 11 are 00, 20, 40, 60 of the handshake register.
-
-B2_READ = [
-    ("000000000000 80", "030100020000 e0"),
-    ("030037020000 80", "030100020000 e0"),
-    ("030037020000 00", " 00"),
-    ("030037020000 00", " 20"),
-    ("030037020000 00", " 40"),
-    ("030037020000 00", "030037020015 60"),  # the manual's text has lost this row's handshake
-]
-B3_READ_ERROR = [
-    ("000000000000 00", "030100020000 60"),
-    ("031000020000 00", "030100020000 60"),
-    ("031000020000 80", " 80"),
-    ("031000020000 80", " a0"),
-    ("031000020000 80", " c0"),
-    ("031000020000 80", "830000020002 e0"),
-]
-B4_WRITE = [
-    ("000000000000 00", "030100020000 60"),
-    ("100105020001 00", "030100020000 60"),  # the printed response handshake 00 cannot be: the old answer stands
-    ("100105020001 80", " 80"),
-    ("100105020001 80", " a0"),
-    ("100105020001 80", " c0"),
-    ("100105020001 80", "100105020000 e0"),
-]
-B5_WRITE_ERROR = [
-    ("000000000000 80", "030037020000 e0"),
-    ("101000020001 80", "030037020000 e0"),
-    ("101000020001 00", " 00"),
-    ("101000020001 00", " 20"),
-    ("101000020001 00", " 40"),
-    ("101000020001 00", "900000020002 60"),
-]
+# -- Appendix B, on the drive class alone; test_appendix_b has it on the wire -----------------------------------------------
 
 
 @pytest.mark.parametrize("configuration", CHANNELS)
