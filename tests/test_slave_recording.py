@@ -3,41 +3,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import NamedTuple
-
-import pytest
+from recordings import CHARACTER, S7, recorded
 from slave_rig import DATA_EXCH, MS, Rig, SlaveConfig, octets
-
-RECORDING = Path(__file__).parents[2] / "shared" / "traces" / "SiemensToBlue.9600.txt"
-CHARACTER = 11 * 1_000_000_000 // 9600
-
-
-class Line(NamedTuple):
-    start: int  # ns, the first start bit
-    slave: bool
-    octets: bytes
-
-    @property
-    def end(self) -> int:
-        return self.start + len(self.octets) * CHARACTER
-
-
-def recorded() -> list[Line]:
-    if not RECORDING.exists():
-        pytest.skip(f"no recording at {RECORDING}")
-    lines: list[Line] = []
-    for text in RECORDING.read_text().splitlines():
-        head, data, meaning = text.split("|", 2)
-        if meaning.strip() == "BAD":  # the recording ends inside this answer
-            return lines[:-1]
-        lines.append(Line(int(float(head.split()[0]) * 1e9), "S->M" in head, octets(data)))
-    return lines
 
 
 def test_an_s7_and_the_slave_it_knows() -> None:
     """Address 26, ident 0B0D; 52 octets of inputs, 14 of outputs (Chk_Cfg 13 25 1f 1f 1f 27)."""
-    lines = recorded()
+    lines = recorded(S7)
     rig = Rig((SlaveConfig(26, 0x0B0D, (octets("13 25 1f 1f 1f 27"),), user_parameters=(3, 20)),),
               changes={"rate_num": 9600, "max_tsdr": 60, "tsl": 100}, time=0)
     answered = 0
