@@ -368,6 +368,25 @@ def test_a_full_port_cuts_or_refuses_a_telegram(opened: Opener) -> None:
     assert (accepted % 255 != 0) == (lib.DPM_SENT_CUT in results)
 
 
+def writes() -> int:
+    """Calls of write(2) by this thread so far, as the kernel counts them."""
+    path = Path("/proc/thread-self/io")
+    if not path.exists():
+        pytest.skip(f"this kernel has no {path}")
+    return int(next(line for line in path.read_text().splitlines() if line.startswith("syscw")).split()[1])
+
+
+def test_a_telegram_is_one_write(opened: Opener) -> None:
+    """No pause inside a telegram: what a UART is given in two calls may leave it with a gap, which slaves take for its end."""
+    port = opened(echo=lib.DPM_ECHO_OFF)
+    lengths = (1, 3, 6, 64, 255)  # SC to the longest SD2
+    before = writes()
+    for length in lengths:
+        assert port.write(bytes(length)) == 0
+    assert writes() - before == len(lengths)
+    assert [entry[3] for entry in port.recorder.take("sent")] == [lib.DPM_SENT_WHOLE] * len(lengths)
+
+
 # ---- echo ----
 
 

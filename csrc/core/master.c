@@ -140,6 +140,17 @@ static bool control_request(dpm_master *m, int64_t now, dpm_request *request)
     return true;
 }
 
+/* Global_Control went out, or could not: then it is due again. */
+static void control_confirm(dpm_master *m, const dpm_confirm *confirm)
+{
+    if (confirm->status != DPM_CONF_SENT) {
+        m->control_due = true;
+        return;
+    }
+    for (unsigned i = 0; i < m->n_slaves; i++)
+        m->slaves[i].operating = m->pdu[0] == COMMAND_OPERATE && m->slaves[i].greeted;
+}
+
 /* The slaves' turn; one that may not be asked yet (Min_Slave_Interval) keeps its place until then. */
 static bool slave_request(dpm_master *m, int64_t now, dpm_request *request, int64_t *wake)
 {
@@ -228,8 +239,10 @@ static void master_confirm(void *context, int64_t now, const dpm_confirm *confir
     dpm_master *m = context;
     dpm_slave *slave = m->current;
     m->current = NULL;
-    if (!slave)
+    if (!slave) {
+        control_confirm(m, confirm);
         return;
+    }
     if (slave->state == DPM_ST_OFFLINE && confirm->status == DPM_CONF_NA)
         m->try_at = now + (dpm_master_exchanges(m) ? TRY_SHARE * (now - confirm->start) : 0);
     dpm_slave_confirm(m, slave, now, confirm);

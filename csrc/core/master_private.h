@@ -23,7 +23,8 @@ typedef struct dpm_slave {
     uint8_t reason;         /* enum dpm_reason */
     int32_t detail;
     bool diagnosis_pending; /* DH came, or static diagnosis stands */
-    bool greeted;           /* its first Data_Exchange was answered: Global_Control has told it the mode */
+    bool greeted;           /* its first Data_Exchange was answered: Global_Control is to tell it the mode */
+    bool operating;         /* Global_Control Operate went out since then: outputs may go to it */
     bool returning;         /* it was in Data_Exchange before: safe outputs at its return */
     uint32_t tries;         /* requests without an answer since it was heard last */
     int64_t pause;          /* ns after the next refusal; grows with each in a row */

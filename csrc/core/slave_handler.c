@@ -60,6 +60,7 @@ static void enter(dpm_master *m, dpm_slave *slave, int64_t now, uint8_t state)
     if (state == DPM_ST_DATA) {
         slave->statistics.starts++;
         slave->greeted = false;
+        slave->operating = false;
         slave->pause = 0;
         slave->reason = DPM_WHY_NONE;
         slave->detail = 0;
@@ -160,10 +161,16 @@ static uint8_t build_unlock(const dpm_slave *slave, uint8_t *pdu)
     return sizeof octets;
 }
 
-/* Outputs: the newest commit of this epoch in Operate; in Clear zeros, or nothing for a fail-safe slave. */
+/* Some slaves take no outputs before they have heard Operate; those of one that is to hold never dip to zero. */
+static bool may_have_outputs(const dpm_master *m, const dpm_slave *slave)
+{
+    return m->mode == DPM_MODE_OPERATE && (slave->operating || (slave->set.hold && slave->returning));
+}
+
+/* Outputs: the newest commit of this epoch in Operate; else zeros, or nothing for a fail-safe slave. */
 static void build_data(dpm_master *m, dpm_slave *slave, dpm_request *request)
 {
-    const bool operate = m->mode == DPM_MODE_OPERATE;
+    const bool operate = may_have_outputs(m, slave);
     const dpm_frame *frame = operate ? dpm_outputs_take(slave->outputs) : NULL;
     slave->carried = frame ? frame->number : 0;
     request->dsap = DPM_NO_SAP;
@@ -380,7 +387,7 @@ static void confirm_data(dpm_master *m, dpm_slave *slave, int64_t now, const dpm
         slave->diagnosis_pending = true;
     if (!slave->greeted) {
         slave->greeted = true;
-        m->control_due = true; /* some slaves take no outputs before they have heard the mode */
+        m->control_due = true;
     }
 }
 
