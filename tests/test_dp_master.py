@@ -660,6 +660,18 @@ def test_leaving_clears_and_unlocks():
     assert bus.master.status.mode == lib.DPM_MODE_STOP and bus.state == lib.DPM_ST_OFFLINE
 
 
+def test_offline_is_silent_from_the_last_answer_on():
+    """The turn that unlocked the last slave does not go on: no token, no FDL state but Offline."""
+    bus = Bus()
+    bus.start()
+    bus.master.mode(lib.DPM_MODE_OFFLINE, bus.script.now)
+    assert bus.next()[7] == 0x3D
+    bus.script.answer(SC)
+    assert bus.script.next(limit=1 * S, tokens=True) == b""
+    assert bus.master.status.mode == lib.DPM_MODE_OFFLINE
+    assert bus.master.status.fdl_state == lib.DPM_FDL_OFFLINE
+
+
 def test_leaving_does_not_wait_for_a_station_that_is_gone():
     bus = Bus()
     bus.start()

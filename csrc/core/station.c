@@ -401,7 +401,8 @@ static int64_t use_token(dpm_station *st, int64_t now)
     if (now < st->not_before)
         return max_of(st->not_before, min_of(st->users_wake, idle_end));
     st->users_wake = ask_users(st, now);
-    if (st->tx_kind == DPM_TX_NONE && st->worked && st->users_wake <= now && now < st->token_at + st->turn) {
+    if (st->state == DPM_FDL_USE_TOKEN && st->tx_kind == DPM_TX_NONE && st->worked && st->users_wake <= now &&
+        now < st->token_at + st->turn) {
         begin_turn(st, now);
         st->users_wake = ask_users(st, now);
     }
