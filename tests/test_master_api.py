@@ -13,6 +13,7 @@ import sys
 import threading
 import time
 import tty
+import weakref
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -289,6 +290,17 @@ def test_closing_leaves_nothing_behind(wire: Wire) -> None:
         assert events.closed
         del master, events
         assert settles(before)
+
+
+def test_closing_while_the_interpreter_ends_ends_the_thread(wire: Wire, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By then finalisers have had their turn and do nothing any more, unless they are told to."""
+    before = descriptors(), threads()
+    master = Master(wire.path)
+    master.clear()
+    monkeypatch.setattr(weakref.finalize, "_shutdown", True)
+    master.close()
+    del master
+    assert settles(before)
 
 
 def test_a_master_nobody_keeps_ends_itself(wire: Wire) -> None:
