@@ -82,6 +82,7 @@ class Drive(Station):
         if self.fail:
             raise RuntimeError("no stop word today")
         self.wait_sent(self.update(0, b"STOP"), timeout=0.5)
+        self.wait(lambda frame: frame.octets == b"STOP", timeout=0.5)  # the card's application has seen it, before Clear comes
 
     def _before_operate(self) -> list[str]:
         return ["is set to hold its reference when the bus is lost"]
@@ -441,6 +442,7 @@ from dpmaster import Master, Station
 class Drive(Station):
     def _rest(self):
         self.wait_sent(self.update(0, b"STOP"), timeout=0.5)
+        self.wait(lambda frame: frame.octets == b"STOP", timeout=0.5)  # the card's application has seen it, before Clear comes
 master = Master(sys.argv[1])
 drive = master.add(Drive(5, 0x1234, bytes([0x33])))
 master.operate()
