@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from dpmaster import errors
+from dpmaster import _arguments, errors
 from dpmaster._dpm import ffi as _ffi
 from dpmaster._dpm import lib as _lib
 
@@ -102,6 +102,7 @@ def wait_slices(wait: Callable[[int, int], int], progress: Callable[[], int], re
     differs from `seen`. `each` runs before every stay in C, at least every 100 ms. Signal handlers run between stays, so
     Ctrl-C leaves as KeyboardInterrupt. What `wait` refuses (closed, forked) is raised.
     """
+    _arguments.timeout(timeout)
     deadline = None if timeout is None else time.monotonic() + timeout
     while True:
         seen = progress()  # before `ready`: what changes in between ends the wait at once

@@ -8,6 +8,7 @@ still there.
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 import weakref
@@ -16,7 +17,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from dpmaster import _core
+from dpmaster import _arguments, _core
 from dpmaster._core import NS, ffi, lib
 from dpmaster.errors import ClosedError, ConfigurationError, PortError
 
@@ -78,21 +79,20 @@ class PortStatistics:
 
 
 _PROFILES = {None: "AUTO", "uart": "UART", "usb": "USB", "pty": "PTY"}
+# What Python knows beyond the library's text of the same code.
 _REMEDIES = {
-    "NO_PORT": "check the path; /dev/serial/by-id lists the adapters that are plugged in",
-    "PERMISSION": "add the user to the group of the device (usually 'dialout') and log in again",
-    "IN_USE": "end the other program; 'fuser -v PATH' names it",
-    "NOT_TTY": "give the path of a serial port or of a segment's port",
-    "SETTINGS": "another rate, or a UART and driver that keep 8 data bits with even parity at this one",
-    "GONE": "plug it in again and open a new Master",
-    "SYSTEM": "see the system's reason",
+    "NO_PORT": "/dev/serial/by-id lists those that are",
+    "PERMISSION": "then log in again",
+    "IN_USE": "'fuser -v {path}' names it",
+    "NOT_TTY": "give that of one, or a segment's port()",
+    "GONE": "plug it in again, or open its segment, and open a new one",
 }
 
 
-def _port_error(path: str, code: int) -> PortError:
+def port_error(path: str, code: int) -> PortError:
     """Path, reason, remedy."""
     base = _core.error(code)
-    remedy = next((text for name, text in _REMEDIES.items() if getattr(lib, f"DPM_E_{name}") == code), "")
+    remedy = next((text for name, text in _REMEDIES.items() if getattr(lib, f"DPM_E_{name}") == code), "").format(path=path)
     return PortError(f"port {path}: {base}" + (f"; {remedy}" if remedy else ""), path=path, dpm_code=code,
                      errno=base.errno if isinstance(base, PortError) else None)
 
@@ -115,9 +115,11 @@ class Bus:
                  allowance: float | None) -> None:
         if profile not in _PROFILES:
             raise ConfigurationError(f"profile {profile!r}: 'uart', 'usb', 'pty', or None to go by the path")
-        if allowance is not None and not 0 <= allowance <= 1:
-            raise ConfigurationError(f"allowance {allowance} s: 0 to 1, or None for the profile's own")
-        self.path = str(port)
+        if echo not in (None, False, True):
+            raise ConfigurationError(f"echo {echo!r}: True, False, or None to find it out")
+        if allowance:
+            _arguments.seconds("allowance", allowance, 1, ", 0, or None for the profile's own")
+        self.path = _arguments.path(port)
         self.process = _core.Process()
         self.closed = False
         self.master: Any = None
@@ -130,7 +132,7 @@ class Bus:
         self._finish.atexit = False  # a Master that still lives says its stop words first
 
     def _open(self, port: str, rate: tuple[int, int], echo: bool | None, profile: str | None, allowance: float | None) -> Any:
-        path = ffi.new("char[]", self.path.encode())
+        path = ffi.new("char[]", os.fsencode(self.path))
         config = ffi.new("dpm_port_config *")
         config.path = path
         config.rate_num, config.rate_den = rate
@@ -144,7 +146,7 @@ class Bus:
         handle = ffi.new("dpm_bus **")
         code = lib.dpm_bus_open(memory, len(memory), config, handle)
         if code < 0:
-            raise _port_error(self.path, code)
+            raise port_error(self.path, code)
         return handle[0]
 
     def _keep(self, size: int) -> Any:
@@ -180,7 +182,7 @@ class Bus:
     def _call(self, code: int, what: str, **context: object) -> int:
         """check(), with the words for a port that vanished and for a close that came in between."""
         if code == lib.DPM_E_GONE:
-            raise _port_error(self.path, code)
+            raise port_error(self.path, code)
         return _core.check(code, what, **context)
 
     def add(self, settings: Any, outputs: Any, image: Any, memory: tuple[Any, ...]) -> int:
@@ -221,7 +223,7 @@ class Bus:
         """Raise PortError when the port is not working."""
         code = self.info().port_error
         if code:
-            raise _port_error(self.path, code)
+            raise port_error(self.path, code)
 
     def statistics(self) -> PortStatistics:
         info = self.info()

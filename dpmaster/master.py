@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, TypeVar
 
+from dpmaster import _arguments
 from dpmaster._core import NS, ffi, lib
 from dpmaster.bus import Bus, FdlState, Feed, Mode, PortStatistics
 from dpmaster.diagnosis import StationState, why
@@ -142,13 +143,14 @@ class Master:
     def __init__(self, port: str, baudrate: int = 500_000, address: int = 1, *, parameters: BusParameters | None = None,
                  cycle_time: float | None = None, output_watchdog: float | None = 1.0, echo: bool | None = None,
                  profile: str | None = None, allowance: float | None = None, max_stations: int = 126) -> None:
-        if not 0 <= address <= lib.DPM_ADDRESS_MAX:
-            raise ConfigurationError(f"the master's address {address}: 0 to {lib.DPM_ADDRESS_MAX}")
-        if not 1 <= max_stations <= 126:
-            raise ConfigurationError(f"max_stations {max_stations}: 1 to 126")
-        for name, value, limit in (("cycle_time", cycle_time, 10.0), ("output_watchdog", output_watchdog, 3600.0)):
-            if value is not None and not 0 < value <= limit:
-                raise ConfigurationError(f"{name} {value} s: above 0 and up to {limit:g} s, or None")
+        _arguments.whole("the master's address", address, 0, lib.DPM_ADDRESS_MAX)
+        _arguments.whole("max_stations", max_stations, 1, 126)
+        if cycle_time is not None:
+            _arguments.seconds("cycle_time", cycle_time, 10.0, ", or None: as fast as the bus allows")
+        if output_watchdog is not None:
+            _arguments.seconds("output_watchdog", output_watchdog, 3600.0, ", or None for no watchdog")
+        if parameters is not None and not isinstance(parameters, BusParameters):
+            raise ConfigurationError(f"parameters {parameters!r}: give BusParameters, or None for the standard set")
         self.address = address
         self.cycle_time = cycle_time
         self.output_watchdog = output_watchdog
@@ -200,10 +202,13 @@ class Master:
         return station
 
     def _check_room(self, station: Station) -> None:
+        if not isinstance(station, Station):
+            raise ConfigurationError(f"add {station!r}: give a Station, or a drive of dpmaster.drives")
         if station._master is not None:
-            raise ConfigurationError(f"{station.name} belongs to a master already")
+            raise ConfigurationError(f"{station.name} belongs to a master already: make another object for this one")
         if station.address == self.address:
-            raise ConfigurationError(f"{station.name} has address {station.address}, which is the master's own")
+            raise ConfigurationError(f"{station.name} has address {station.address}, which is the master's own: give one of "
+                                     "them another")
         other = self._stations.get(station.address)
         if other is not None:
             raise ConfigurationError(f"address {station.address} has a station already, {other.name}: give this one another")
@@ -431,7 +436,7 @@ class Master:
         to 246 octets, 244 behind SAPs. Raises StationError when nobody answers, ConfigurationError, DPTimeout after
         `timeout` s without a turn on the bus.
         """
-        raw = _raw_request(address, service, dsap, ssap, bytes(data))
+        raw = _raw_request(address, service, dsap, ssap, data)
         self._start()
         if self.mode == Mode.OFFLINE:
             self._bus.set_mode(Mode.STOP)
@@ -493,22 +498,20 @@ def _raw_request(address: int, service: str | Service, dsap: int | None, ssap: i
     except (KeyError, ValueError):
         raise ConfigurationError(f"service {service!r}: one of {', '.join(s.name for s in Service)}") from None
     highest = 127 if chosen in (Service.SDN, Service.SDN_LOW) else 126
-    if not 0 <= address <= highest:
-        raise ConfigurationError(f"address {address}: 0 to {highest} for {chosen.name}")
+    _arguments.whole("address", address, 0, highest, f" for {chosen.name}")
     if (dsap is None) != (ssap is None):
         raise ConfigurationError(f"dsap {dsap}, ssap {ssap}: give both or neither")
     for name, sap in (("dsap", dsap), ("ssap", ssap)):
-        if sap is not None and not 0 <= sap <= 63:
-            raise ConfigurationError(f"{name} {sap}: 0 to 63")
+        if sap is not None:
+            _arguments.whole(name, sap, 0, 63)
     room = lib.DPM_DATA_MAX if dsap is None else lib.DPM_IO_MAX
-    if len(data) > room:
-        raise ConfigurationError(f"{len(data)} octets of data: at most {room}, with SAPs {lib.DPM_IO_MAX}")
+    octets = _arguments.octets("data", data, 0, room, f", with SAPs {lib.DPM_IO_MAX}")
     raw = ffi.new("dpm_raw *")
     raw.da, raw.function = address, chosen
     raw.dsap = lib.DPM_NO_SAP if dsap is None else dsap
     raw.ssap = lib.DPM_NO_SAP if ssap is None else ssap
-    raw.length = len(data)
-    raw.data = data
+    raw.length = len(octets)
+    raw.data = octets
     return raw
 
 

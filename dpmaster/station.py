@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
-from dpmaster import _core
+from dpmaster import _arguments, _core
 from dpmaster._core import NS, ffi, lib
 from dpmaster.bus import Feed, Mode
 from dpmaster.diagnosis import Diagnosis, Reason, StationState, judge, why
@@ -28,6 +28,7 @@ Watchdog = float | Literal["default"] | None
 
 BY_HAND_WATCHDOG = 1.0  # s, of a Set_Prm by hand when the station says "default": no cycle is there to predict it from
 WATCHDOG_MAX = 650.25  # s, 255 * 255 * 10 ms
+USER_PARAMETERS_MAX = 237  # octets of User_Prm_Data in Set_Prm
 
 # Station_Status of Set_Prm, EN 50170 part 8
 _WD_ON, _FREEZE_REQ, _SYNC_REQ, _UNLOCK_REQ, _LOCK_REQ = 0x08, 0x10, 0x20, 0x40, 0x80
@@ -68,24 +69,24 @@ def watchdog_factors(seconds: float | None) -> tuple[int, int]:
     """WD_Fact_1 and WD_Fact_2 (1..255 each) of the shortest watchdog not under `seconds`: factors times 10 ms. None: (0, 0)."""
     if seconds is None:
         return 0, 0
-    if not 0 < seconds <= WATCHDOG_MAX:
-        raise ConfigurationError(f"watchdog {seconds} s: above 0 and up to {WATCHDOG_MAX} s, or None for no watchdog")
+    _arguments.seconds("watchdog", seconds, WATCHDOG_MAX, ", 'default', or None for no watchdog")
     ticks = max(1, -(-round(seconds * 1_000_000) // 10_000))
     first = range(-(-ticks // 255), 256)
     return min(((f, -(-ticks // f)) for f in first), key=lambda pair: (pair[0] * pair[1], pair[0]))
-
-
-def _within(name: str, value: int, low: int, high: int, note: str = "") -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-        raise ConfigurationError(f"{name} {value!r}: {low} to {high}{note}")
-    return value
 
 
 def _address(address: int) -> int:
     if address == 126:
         raise ConfigurationError("address 126 is that of a slave which waits for its address: give it one from 0 to 125 first, "
                                  "with Set_Slave_Add or its switches")
-    return _within("address", address, 0, 125)
+    return _arguments.whole("address", address, 0, 125, " is what a slave can have")
+
+
+def _max_tsdr(given: Mapping[int, int] | None) -> dict[int, int]:
+    if given is not None and not isinstance(given, Mapping):
+        raise ConfigurationError(f"max_tsdr {given!r}: give a mapping from a rate in bit/s to Tbit, like {{500_000: 100}}")
+    return {rate: _arguments.whole(f"max_tsdr at {rate} bit/s", bits, 37, 1023, " Tbit")
+            for rate, bits in (given or {}).items()}
 
 
 class Station:
@@ -110,18 +111,18 @@ class Station:
                  fail_safe: bool = False, min_slave_interval: int = 1, resume: Literal["safe", "hold"] = "safe",
                  active: bool = True) -> None:
         self.address = _address(address)
-        self.ident_number = _within("ident_number", ident_number, 0, 0xFFFF)
-        self.configuration = bytes(configuration)
-        self.user_parameters = bytes(user_parameters)
+        self.ident_number = _arguments.whole("ident_number", ident_number, 0, 0xFFFF)
+        self.configuration = _arguments.octets("configuration", configuration, 1, lib.DPM_IO_MAX, " identifiers of Chk_Cfg")
+        self.user_parameters = _arguments.octets("user_parameters", user_parameters, 0, USER_PARAMETERS_MAX)
         self.name = name or f"station {address}"
         self.watchdog = watchdog
         self.min_tsdr = min_tsdr
-        self.max_tsdr = dict(max_tsdr or {})
-        self.group = _within("group", group, 0, 255)
+        self.max_tsdr = _max_tsdr(max_tsdr)
+        self.group = _arguments.whole("group", group, 0, 255)
         self.sync = sync
         self.freeze = freeze
         self.fail_safe = fail_safe
-        self.min_slave_interval = _within("min_slave_interval", min_slave_interval, 0, 65535, " (of 100 us)")
+        self.min_slave_interval = _arguments.whole("min_slave_interval", min_slave_interval, 0, 65535, " (of 100 us)")
         self.resume = resume
         self.active = active
         self._check()
@@ -134,18 +135,10 @@ class Station:
 
     def _check(self) -> None:
         if self.min_tsdr:
-            _within("min_tsdr", self.min_tsdr, 11, 255, " Tbit, or 0 to leave the slave's own")
-        for rate, bits in self.max_tsdr.items():
-            _within(f"max_tsdr at {rate} bit/s", bits, 37, 1023, " Tbit")
-        if not 1 <= len(self.configuration) <= lib.DPM_IO_MAX:
-            raise ConfigurationError(f"configuration of {len(self.configuration)} octets: 1 to {lib.DPM_IO_MAX}")
-        if len(self.user_parameters) > 237:
-            raise ConfigurationError(f"user_parameters of {len(self.user_parameters)} octets: at most 237")
+            _arguments.whole("min_tsdr", self.min_tsdr, 11, 255, " Tbit, or 0 to leave the slave's own")
         if self.resume not in ("safe", "hold"):
             raise ConfigurationError(f"resume {self.resume!r}: 'safe' or 'hold'")
         if self.watchdog != "default":
-            if isinstance(self.watchdog, str):
-                raise ConfigurationError(f"watchdog {self.watchdog!r}: seconds, 'default' or None")
             watchdog_factors(self.watchdog)
 
     def _lengths(self) -> tuple[int, int]:
@@ -261,10 +254,11 @@ class Station:
 
     @outputs.setter
     def outputs(self, octets: bytes) -> None:
-        if len(octets) != self.output_length:
-            raise ConfigurationError(f"{self.name} has {self.output_length} output octets, {len(octets)} were given: "
+        given = _arguments.octets(f"{self.name}: outputs", octets, 0, lib.DPM_IO_MAX)
+        if len(given) != self.output_length:
+            raise ConfigurationError(f"{self.name} has {self.output_length} output octets, {len(given)} were given: "
                                      "set all of them, or use update(offset, octets)")
-        self.update(0, octets)
+        self.update(0, given)
 
     def update(self, offset: int, octets: bytes | bytearray | Iterable[int]) -> int:
         """Change some outputs and commit the whole image in one step; returns the commit's number (1, 2, ...).
@@ -274,10 +268,10 @@ class Station:
         output watchdog has latched outputs safe, ClosedError.
         """
         master = self._owner()
-        data = bytes(octets)
-        if offset < 0 or offset + len(data) > self.output_length:
+        data = _arguments.octets(f"{self.name}: outputs", octets, 0, lib.DPM_IO_MAX)
+        if not isinstance(offset, int) or offset < 0 or offset + len(data) > self.output_length:
             raise ConfigurationError(f"{self.name} has output octets 0 to {self.output_length - 1}; {len(data)} octets at "
-                                     f"offset {offset} do not fit")
+                                     f"offset {offset!r} do not fit")
         with self._commit_lock:
             number = lib.dpm_outputs_commit(self._outputs, offset, data, len(data), _core.now())
         if number == lib.DPM_E_LATCHED:
@@ -289,22 +283,29 @@ class Station:
     def wait_sent(self, number: int, timeout: float | None = 1.0) -> None:
         """Wait until commit `number`, or one after it, was sent and answered.
 
-        Raises OutputsDiscarded, with the reason, when no telegram will ever carry it; DPTimeout after `timeout` s; ClosedError.
+        Raises OutputsDiscarded, with the reason, when no telegram will ever carry it; DPTimeout after `timeout` s, PortError
+        when the port is the reason; ClosedError.
         """
         master = self._owner()
+        if not isinstance(number, int):
+            raise ConfigurationError(f"{self.name}: commit {number!r}: give a number that update() returned")
         result: int | None = master._bus.wait(lambda: lib.dpm_outputs_was_sent(self._outputs, number) or None, timeout)
         if result is None:
+            master._bus.check_port()
             raise DPTimeout(f"{self.name}: commit {number} was not answered in {timeout} s; {self._standing(master)}")
         if result == lib.DPM_E_DISCARDED:
             raise OutputsDiscarded(f"{self.name}: commit {number} will never be sent; {self._standing(master)}", number=number,
                                    dpm_code=result)
+        if result == lib.DPM_E_ARGUMENT:
+            raise ConfigurationError(f"{self.name}: commit {number} was never made: give a number that update() returned",
+                                     dpm_code=result)
         _core.check(result, f"{self.name}: wait for commit {number}")
 
     def wait(self, predicate: Callable[[Frame], bool], timeout: float | None) -> Frame:
         """Wait until `predicate` is true of a valid frame: the newest one, then each that comes. Returns that frame.
 
         In the thread of the last commit it feeds the output watchdog. Raises DPTimeout after `timeout` s (None: never),
-        ClosedError.
+        PortError when the port is the reason, ClosedError.
         """
         master = self._owner()
         seen = -1
@@ -319,6 +320,7 @@ class Station:
 
         found = master._bus.wait(ready, timeout)
         if found is None:
+            master._bus.check_port()
             raise DPTimeout(f"{self.name}: what was waited for did not come in {timeout} s; {self._standing(master)}")
         return found
 
@@ -392,23 +394,23 @@ class Station:
         status = self._features()
         for wanted, bit in ((lock, _LOCK_REQ), (unlock, _UNLOCK_REQ), (any(factors), _WD_ON)):
             status |= bit if wanted else 0
-        ident = self.ident_number if ident_number is None else _within("ident_number", ident_number, 0, 0xFFFF)
-        parameters = self.user_parameters if user_parameters is None else bytes(user_parameters)
-        if len(parameters) > 237:
-            raise ConfigurationError(f"user_parameters of {len(parameters)} octets: at most 237")
+        ident = self.ident_number if ident_number is None else _arguments.whole("ident_number", ident_number, 0, 0xFFFF)
+        given = self.user_parameters if user_parameters is None else user_parameters
+        parameters = _arguments.octets("user_parameters", given, 0, USER_PARAMETERS_MAX)
         octets = bytes((status, *factors, self.min_tsdr, *ident.to_bytes(2, "big"), self.group)) + parameters
         self._ask("Set_Prm", lib.DPM_SAP_SET_PRM, octets, timeout)
 
     def chk_cfg(self, configuration: bytes | None = None, timeout: float = 1.0) -> None:
         """Chk_Cfg by hand, the station's own configuration when none is given. The verdict is in the next `slave_diag`."""
         self._not_in_cycle("Chk_Cfg")
-        octets = self.configuration if configuration is None else bytes(configuration)
+        given = self.configuration if configuration is None else configuration
+        octets = _arguments.octets("configuration", given, 1, lib.DPM_IO_MAX)
         self._ask("Chk_Cfg", lib.DPM_SAP_CHK_CFG, octets, timeout)
 
     def data_exchange(self, octets: bytes = b"", timeout: float = 1.0) -> bytes:
         """Data_Exchange by hand: sends `octets` as outputs, whatever their number, and returns the inputs."""
         self._not_in_cycle("Data_Exchange")
-        return self._ask("Data_Exchange", None, bytes(octets), timeout)
+        return self._ask("Data_Exchange", None, _arguments.octets("outputs", octets, 0, lib.DPM_IO_MAX), timeout)
 
     def _not_in_cycle(self, service: str) -> None:
         if self.active and self._owner().mode >= Mode.CLEAR:

@@ -27,7 +27,7 @@ static const char *const texts[] = {
     [-DPM_E_FORKED] = "the object belongs to the parent process: open it again after fork",
     [-DPM_E_NO_PORT] = "no such port: check the path and that the adapter is plugged in",
     [-DPM_E_PERMISSION] = "no permission to open the port: join the group that owns it (dialout on Debian)",
-    [-DPM_E_IN_USE] = "another program has the port: close that one first",
+    [-DPM_E_IN_USE] = "another program, or another object of this one, has the port: close that first",
     [-DPM_E_NOT_TTY] = "the path is not a serial port",
     [-DPM_E_SETTINGS] = "the port does not keep 8 data bits, even parity, 1 stop bit or the baud rate: choose "
                         "a rate or an adapter that can",

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequenc
 from dataclasses import dataclass, fields
 from typing import Literal, Protocol, overload
 
+from dpmaster._arguments import number
 from dpmaster.errors import (
     CommissioningError,
     ConfigurationError,
@@ -321,6 +322,8 @@ class YaskawaV7(Station):
 
     def _reference(self, hz: float) -> int:
         """`hz` as a word of the bus."""
+        if not number(hz):
+            raise ConfigurationError(f"frequency {hz!r} Hz: give a number of Hz")
         hz = float(hz)
         if hz < 0:
             raise ConfigurationError(f"frequency {hz} Hz: give a positive number; run_reverse turns the other way")
@@ -483,8 +486,8 @@ class YaskawaV7(Station):
 
     @torque_reference.setter
     def torque_reference(self, percent: float) -> None:
-        if not 0 <= percent <= 100:
-            raise ConfigurationError(f"torque_reference {percent}: the word takes 0 to 100 %")
+        if not number(percent) or not 0 <= percent <= 100:
+            raise ConfigurationError(f"torque_reference {percent!r}: the word takes 0 to 100 %")
         self._change("torque_reference", clear=0xFFFF, set_=round(percent / TORQUE_UNIT))
 
     def external_fault(self, on: bool = True) -> None:
@@ -530,7 +533,7 @@ class YaskawaV7(Station):
     def write_parameter(self, name: int | str, value: int | Sequence[int], *, timeout: float = 1.0) -> None:
         """Write a register by number or name, or several from there on. Errors as with `read_parameter`."""
         channel = self._need_channel("write_parameter")
-        values = (value,) if isinstance(value, int) else tuple(value)
+        values = tuple(value) if isinstance(value, Sequence) and not isinstance(value, str) else (value,)
         self._check_count(len(values), channel)
         for word in values:
             if isinstance(word, bool) or not isinstance(word, int) or not 0 <= word <= 0xFFFF:
@@ -546,8 +549,8 @@ class YaskawaV7(Station):
                 self._facts = None  # it may have been one of them, or scale one of them
 
     def _check_count(self, count: int, channel: ParameterChannel) -> None:
-        if not 1 <= count <= channel.words:
-            raise ConfigurationError(f"{count} registers at once: {self._layout.name} takes 1 to {channel.words}")
+        if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= channel.words:
+            raise ConfigurationError(f"{count!r} registers at once: {self._layout.name} takes 1 to {channel.words}")
 
     def _need_channel(self, what: str) -> ParameterChannel:
         if self._channel is None:

@@ -108,6 +108,8 @@ def bus_parameters(baudrate: int) -> Any:
 
 def slave_config(card: Card) -> Any:
     """The slave that a card describes."""
+    if not isinstance(card, Card):
+        raise ConfigurationError(f"card {card!r}: give a Card, like SIP1(address=5)")
     what = describe(card)
     if not 0 <= card.address <= 126:
         raise ConfigurationError(f"{what}: a slave's address is 0 to 126")
@@ -159,7 +161,7 @@ class Host(ABC):
     def _guard(self) -> None:
         self._process.guard(f"this {type(self).__name__}")
         if self._closed:
-            raise ClosedError(f"this {type(self).__name__} is closed")
+            raise ClosedError(f"this {type(self).__name__} was closed: open a new one")
 
     # --- cards
 

@@ -6,7 +6,9 @@ from __future__ import annotations
 import os
 from typing import Any
 
+from dpmaster import _arguments
 from dpmaster._core import block, check, ffi, lib
+from dpmaster.bus import port_error
 from dpmaster.emulator.card import Card
 from dpmaster.emulator.host import Host, bus_parameters, describe
 from dpmaster.errors import ConfigurationError, PortError
@@ -25,7 +27,7 @@ class Line(Host):
         super().__init__()
         if not cards:
             raise ConfigurationError("cards: a line needs at least one card")
-        self._path = os.fspath(port)
+        self._path = _arguments.path(port)
         parameters = bus_parameters(baudrate)
         self._open(parameters, getattr(port, "paced", None))
         try:
@@ -47,7 +49,9 @@ class Line(Host):
         size = lib.dpm_bus_size()
         self._block = block(size)
         out = ffi.new("dpm_bus **")
-        check(lib.dpm_bus_open(self._block, size, config, out), f"open {self._path}")
+        code = lib.dpm_bus_open(self._block, size, config, out)
+        if code < 0:
+            raise port_error(self._path, code)
         self._object = out[0]
 
     def _make_slaves(self, parameters: Any, count: int) -> None:

@@ -11,6 +11,7 @@ import os
 from dataclasses import dataclass
 from typing import Any
 
+from dpmaster._arguments import number
 from dpmaster._core import NS, block, check, ffi, lib
 from dpmaster.emulator.host import CardT, Host, bus_parameters
 from dpmaster.errors import ConfigurationError
@@ -125,10 +126,10 @@ class Segment(Host):
         faults = ffi.new("dpm_segment_faults *", {"seed": seed & 0xFFFF_FFFF_FFFF_FFFF})
         chances = {"lose": lose, "flip": flip, "insert": insert, "duplicate": duplicate, "lose_telegram": lose_telegram}
         for name, chance in chances.items():
-            if not 0.0 <= chance <= 1.0:
+            if not number(chance) or not 0.0 <= chance <= 1.0:
                 raise ConfigurationError(f"{name} {chance!r}: a chance is 0.0 to 1.0")
             setattr(faults, name, round(chance * 1_000_000))
-        if not 0.0 <= delay <= 10.0:
+        if not number(delay) or not 0.0 <= delay <= 10.0:
             raise ConfigurationError(f"delay {delay!r}: 0 to 10 seconds")
         faults.delay = round(delay * NS)
         check(self._call("set_faults", faults), "faults of a segment")

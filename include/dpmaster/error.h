@@ -27,7 +27,7 @@ enum dpm_error {
     DPM_E_FORKED = -16,     /* the object belongs to the parent process */
     DPM_E_NO_PORT = -17,    /* no such port */
     DPM_E_PERMISSION = -18, /* the port may not be opened by this user */
-    DPM_E_IN_USE = -19,     /* another program has the port */
+    DPM_E_IN_USE = -19,     /* somebody has the port already */
     DPM_E_NOT_TTY = -20,    /* the path is not a serial port */
     DPM_E_SETTINGS = -21,   /* the port does not keep 8E1 or the rate */
     DPM_E_GONE = -22,       /* the port vanished */
