@@ -28,7 +28,7 @@ SLICE = 0.1  # s, longest stay in C: Ctrl-C is answered and the output watchdog 
 
 _PORT = ("NO_PORT", "PERMISSION", "IN_USE", "NOT_TTY", "SETTINGS", "GONE", "SYSTEM")
 _KINDS: dict[type[errors.DPError], tuple[str, ...]] = {
-    errors.ConfigurationError: ("ARGUMENT", "ADDRESS", "DUPLICATE", "FULL", "LENGTH", "CONFIGURATION", "PARAMETER"),
+    errors.ConfigurationError: ("ARGUMENT", "ADDRESS", "DUPLICATE", "FULL", "LENGTH", "CONFIGURATION", "PARAMETER", "SLOT"),
     errors.NotOperatingError: ("MODE", "LATCHED"),
     errors.DPTimeout: ("TIMEOUT", "INTERRUPTED"),
     errors.ClosedError: ("CLOSED", "FORKED"),

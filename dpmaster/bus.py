@@ -42,11 +42,15 @@ class FdlState(IntEnum):
     """The FDL station's state (``enum dpm_fdl_state``)."""
 
     OFFLINE = 0
-    LISTEN_TOKEN = 1
-    CLAIM_TOKEN = 2
-    USE_TOKEN = 3
-    AWAIT_DATA_RESPONSE = 4
-    PASS_TOKEN = 5
+    PASSIVE_IDLE = 1
+    LISTEN_TOKEN = 2
+    ACTIVE_IDLE = 3
+    CLAIM_TOKEN = 4
+    USE_TOKEN = 5
+    AWAIT_DATA_RESPONSE = 6
+    PASS_TOKEN = 7
+    CHECK_TOKEN_PASS = 8
+    AWAIT_STATUS_RESPONSE = 9
 
 
 class Feed(IntEnum):

@@ -42,6 +42,8 @@ class EventKind(IntEnum):
     WATCHDOG = 7
     LATE = 8
     PORT = 9
+    DUPLICATE = 10
+    LIVE = 11
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from dpmaster._core import ffi, lib
 from dpmaster.errors import ConfigurationError
-from dpmaster.parameters import BusParameters
+from dpmaster.parameters import BAUDRATES, BusParameters
 
 RATES = (9600, 19200, 31250, 45450, 93750, 187500, 500000, 1500000, 3000000, 6000000, 12000000)
 LOW = (100, 60, 0, 1, 37, 60, 1)
@@ -59,7 +59,7 @@ def test_the_nominal_rates() -> None:
 def test_the_standard_set(rate: int) -> None:
     p = default(rate)
     assert (p.tsl, p.max_tsdr, p.tqui, p.tset, lib.dpm_tid1(p), lib.dpm_tid2(p), p.max_retry_limit) == TABLE[rate]
-    assert (p.min_tsdr, p.g, p.hsa) == (11, 10, 126)
+    assert (p.min_tsdr, p.hsa) == (11, 126)
     assert p.ttr >= 5000 * p.hsa, 'protocol page D.1: "user profile >= 5000*HSA"'
     assert refusal(p) is None
     assert lib.dpm_tto(p, 2) == 10 * p.tsl, 'protocol page D.2: "TTO for n=2 (10*TSL)"'
@@ -252,3 +252,11 @@ def test_predicted_cycle() -> None:
     assert ours.predict_cycle([(6, 6)] * 3, allowance=1e-3) == pytest.approx((rest + 3 * one) / 500000 + 4e-3)
     retried = (rest + one + 11 * 15 + 200) / 500000 + 3e-3
     assert ours.predict_cycle(iter([(6, 6)]), 1e-3, retries=True) == pytest.approx(retried)
+
+
+@pytest.mark.parametrize("rate", BAUDRATES)
+def test_the_default_g_keeps_a_gap_round_within_two_per_cent(rate):
+    """GAP update time G * Ttr (protocol page D.1); a round polls 125 addresses, 66 Tbit and a slot each (E.3, D.3)."""
+    p = BusParameters.default(rate)
+    polls = 125 * (66 + p.tsl)
+    assert polls <= 0.02 * p.g * p.ttr < polls + 0.02 * p.ttr + 50 * 2

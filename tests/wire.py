@@ -74,11 +74,12 @@ class Master:
 
     def __init__(self, rate: int = 500_000, address: int = 1, *, parameters: Any = None, slaves: int = 126,
                  allowance: int = 0, granularity: int = 0, cycle_time: int = 0, output_watchdog: int = 0,
-                 control_interval: int = 400 * MS) -> None:
+                 control_interval: int = 400 * MS, role: int = lib.DPM_ROLE_SOLE) -> None:
         config = ffi.new("dpm_master_config *")
         self.parameters = parameters or default_parameters(rate)
         config.station.parameters = self.parameters[0]
         config.station.address = address
+        config.station.role = role
         config.station.traits.allowance = allowance
         config.station.traits.granularity = granularity
         config.slaves = slaves
@@ -155,6 +156,18 @@ class Master:
         status = ffi.new("dpm_master_status *")
         lib.dpm_master_get_status(self.master, status)
         return status
+
+    @property
+    def view(self) -> Any:
+        view = ffi.new("dpm_ring_view *")
+        lib.dpm_station_get_ring(lib.dpm_master_station(self.master), view)
+        return view
+
+    @property
+    def las(self) -> set[int]:
+        """The list of active stations."""
+        las = bytes(self.view.las)
+        return {n for n in range(128) if las[n // 8] >> n % 8 & 1}
 
     def events(self) -> Iterator[Any]:
         """Events since the last look."""

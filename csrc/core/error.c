@@ -34,6 +34,7 @@ static const char *const texts[] = {
     [-DPM_E_GONE] = "the port vanished",
     [-DPM_E_SYSTEM] = "the system refused the call",
     [-DPM_E_DISCARDED] = "the commit will never be sent: a later one overtook it, or outputs went safe",
+    [-DPM_E_SLOT] = "the slot time has no room for how late this host may wake",
 };
 
 const char *dpm_strerror(int code)

@@ -338,7 +338,7 @@ static void leave(dpm_master *m, uint8_t target, int64_t now)
     m->target = target;
     m->leaving = true;
     for (unsigned i = 0; i < m->n_slaves; i++)
-        dpm_slave_leave(m, &m->slaves[i], now, fdl >= DPM_FDL_USE_TOKEN && m->mode >= DPM_MODE_CLEAR);
+        dpm_slave_leave(m, &m->slaves[i], now, fdl >= DPM_FDL_ACTIVE_IDLE && m->mode >= DPM_MODE_CLEAR);
     m->control_due = true;
     m->cycle_at = now;
     finish_leaving(m, now);

@@ -8,7 +8,8 @@
 
 #define SECOND 1000000000
 #define HSA 126
-#define G 10
+/* One GAP round polls every other address, 66 Tbit and a slot each; a round in G * Ttr may take this part of the bus. */
+#define GAP_SHARE 50
 /* "User profile: TTR >= 5000 HSA"; room for 125 slaves with some 170 octets of inputs and outputs each at any rate. */
 #define TTR (5000 * HSA)
 #define TSL_MARGIN 15 /* Tsl1 = max Tsdr + 11 + Tsm, and Tsm is 4 where Tset is 1: the engineering tools' rule */
@@ -53,16 +54,18 @@ int dpm_parameters_default(dpm_parameters *parameters, uint32_t rate, uint16_t m
     uint16_t slowest = max_tsdr > p->max_tsdr ? max_tsdr : p->max_tsdr;
     /* May wrap only for a MaxTsdr far beyond 1023, which dpm_parameters_check refuses by its name, before Tsl. */
     uint16_t tsl = (uint16_t)(slowest + TSL_MARGIN);
+    tsl = tsl > p->tsl ? tsl : p->tsl;
+    uint32_t round = HSA * (66 + (uint32_t)tsl);
     *parameters = (dpm_parameters){
         .rate_num = p->rate_num,
         .rate_den = p->rate_den,
-        .tsl = tsl > p->tsl ? tsl : p->tsl,
+        .tsl = tsl,
         .min_tsdr = 11,
         .max_tsdr = slowest,
         .tqui = p->tqui,
         .tset = p->tset,
         .ttr = TTR,
-        .g = G,
+        .g = (uint8_t)(round * GAP_SHARE / TTR + 1),
         .hsa = HSA,
         .max_retry_limit = p->max_retry_limit,
     };

@@ -1,7 +1,8 @@
 /* SPDX-License-Identifier: MIT
  *
- * The active FDL station (IEC 61158-4-3 clause 8), today as a sole master. To be read beside the standard's diagram:
- * each state has its reaction to a telegram (receive_*), to silence (station_quiet) and to "what now?" (station_ask).
+ * The active FDL station (IEC 61158-4-3 clause 8): exchanges, and what is done with the token; how it comes and goes is
+ * token.c's. To be read beside the standard's diagram: each state has its reaction to a telegram (receive), to silence
+ * (station_quiet) and to "what now?" (station_ask).
  */
 #include "core/station_private.h"
 
@@ -31,7 +32,18 @@ static int64_t max_of(int64_t a, int64_t b) { return a > b ? a : b; }
 
 static int64_t min_of(int64_t a, int64_t b) { return a < b ? a : b; }
 
-static bool in_ring(uint8_t state) { return state >= DPM_FDL_USE_TOKEN; }
+static bool holds_token(const dpm_station *st)
+{
+    return st->state >= DPM_FDL_USE_TOKEN && st->state != DPM_FDL_CHECK_TOKEN_PASS;
+}
+
+static bool in_ring(uint8_t state) { return state >= DPM_FDL_ACTIVE_IDLE && state != DPM_FDL_CLAIM_TOKEN; }
+
+/* Alone on the bus, by choice or since nobody else is there: then a slot has room for a host that wakes late. */
+static int64_t slot_of(const dpm_station *st)
+{
+    return st->tsl + (dpm_token_alone(st) ? st->config.traits.allowance : 0);
+}
 
 static bool is_sdn(uint8_t function) { return function == DPM_SDN_LOW || function == DPM_SDN_HIGH; }
 
@@ -40,8 +52,8 @@ static bool counts_frames(uint8_t function)
     return function == DPM_SRD_LOW || function == DPM_SRD_HIGH || function == DPM_SDA_LOW || function == DPM_SDA_HIGH;
 }
 
-/* Use_Token, Await_Data_Response and Pass_Token change with every telegram; onlookers care for being in the ring. */
-static void enter(dpm_station *st, uint8_t state, int64_t now)
+/* Inside the ring the state changes with every telegram; onlookers care for being in it. */
+void dpm_station_enter(dpm_station *st, uint8_t state, int64_t now)
 {
     const uint8_t old = st->state;
     st->state = state;
@@ -56,8 +68,19 @@ static void bus_busy(dpm_station *st, int64_t end, int64_t idle)
     st->not_before = max_of(st->not_before, end + idle);
 }
 
-/* The latest moment at which our right to talk still stands: then others may take the token for lost. */
-static int64_t right_ends(const dpm_station *st) { return st->last_activity + st->tto + st->config.traits.allowance; }
+/* When silence has lasted for Tto. */
+static int64_t silence_ends(const dpm_station *st) { return st->last_activity + st->tto + st->config.traits.allowance; }
+
+/* The latest moment at which our right to talk still stands. In the ring the predecessor sends its token again when we
+ * do not begin within its slot; later, and whenever we are alone, others may take the token for lost after Tto. */
+static int64_t right_ends(const dpm_station *st)
+{
+    if (st->state == DPM_FDL_CLAIM_TOKEN) /* then the next higher address claims */
+        return silence_ends(st) + 2 * st->tsl + st->config.traits.allowance;
+    if (dpm_token_alone(st))
+        return silence_ends(st);
+    return st->spoke ? st->last_activity + 6 * st->tsl : st->speak_until;
+}
 
 /* --- the exchange under way ------------------------------------------------------------------------------------- */
 
@@ -108,46 +131,71 @@ static void finish_answered(dpm_station *st, const dpm_received *rx, uint8_t sta
     finish(st, rx->end_latest, &confirm);
 }
 
-/* Leave the ring at once: a foreign master has the bus, or we were silent for too long. */
-static void give_way(dpm_station *st, int64_t now, bool foreign)
+/* The token is not ours any more. With the bus `lost` to a foreign master the users forget all that was going on. */
+void dpm_station_drop_token(dpm_station *st, uint8_t state, int64_t now, bool lost)
 {
-    const bool held = in_ring(st->state) || st->state == DPM_FDL_CLAIM_TOKEN;
     if (st->user)
         finish_unanswered(st, now, DPM_CONF_DS);
     st->tx_kind = DPM_TX_NONE;
-    enter(st, DPM_FDL_LISTEN_TOKEN, now);
-    for (unsigned i = 0; held && foreign && i < st->n_users; i++)
+    st->passes = 0;
+    dpm_station_enter(st, state, now);
+    for (unsigned i = 0; lost && i < st->n_users; i++)
         if (st->users[i].token)
             st->users[i].token(st->users[i].context, now, false);
 }
 
 /* --- telegrams received ------------------------------------------------------------------------------------------ */
 
-static void heard_foreign(dpm_station *st, uint8_t address, int64_t now)
+/* A sole master gives way: it is silent until the bus has been so for Tto. */
+static void give_way(dpm_station *st, uint8_t address, int64_t now)
 {
-    st->statistics.foreign++;
-    st->foreign = address;
-    if (st->state == DPM_FDL_LISTEN_TOKEN)
-        return;
-    put_event(st, now, DPM_EV_FOREIGN, address, 0, 0);
-    give_way(st, now, true);
+    const bool lost = st->state != DPM_FDL_LISTEN_TOKEN;
+    if (lost)
+        put_event(st, now, DPM_EV_FOREIGN, address, 0, 0);
+    dpm_station_drop_token(st, DPM_FDL_LISTEN_TOKEN, now, lost);
 }
 
-/* Requests to us: FDL status says "master, not ready for the ring"; no SAP is open. SDN is never answered. */
+static void heard_token(dpm_station *st, uint8_t sa, uint8_t da, const dpm_received *rx)
+{
+    const bool ours = sa == st->config.address;
+    st->statistics.foreign += !ours;
+    st->foreign = ours ? st->foreign : sa;
+    if (st->config.role != DPM_ROLE_SOLE)
+        dpm_token_heard(st, sa, da, rx);
+    else if (ours)
+        st->statistics.stray++; /* heard back through a port that does not know its echo */
+    else
+        give_way(st, sa, rx->end_latest);
+}
+
+/* Whoever sends a request has the token. */
+static void heard_request(dpm_station *st, const dpm_telegram *t, int64_t now)
+{
+    st->statistics.foreign++;
+    st->foreign = t->sa;
+    if (st->config.role == DPM_ROLE_SOLE)
+        give_way(st, t->sa, now);
+    else if (holds_token(st) || st->state == DPM_FDL_CLAIM_TOKEN)
+        dpm_station_drop_token(st, DPM_FDL_ACTIVE_IDLE, now, false);
+}
+
+/* Requests to us: FDL status is answered in every state; no SAP is open. SDN is never answered. */
 static void reply(dpm_station *st, const dpm_received *rx)
 {
     const dpm_telegram *t = &rx->telegram;
     const bool status = FC_CODE(t->fc) == DPM_FDL_STATUS;
+    const uint8_t type = st->config.role == DPM_ROLE_SOLE ? DPM_TYPE_MASTER_NOT_READY : dpm_token_status(st);
     const dpm_telegram answer = {
         .format = DPM_SD1,
         .da = t->sa,
         .sa = st->config.address,
-        .fc = (uint8_t)(DPM_TYPE_MASTER_NOT_READY | (status ? DPM_RES_OK : DPM_RES_RS)),
+        .fc = (uint8_t)(type | (status ? DPM_RES_OK : DPM_RES_RS)),
         .dsap = DPM_NO_SAP, .ssap = DPM_NO_SAP, .dsegment = -1, .ssegment = -1,
     };
     const int n = dpm_encode(&answer, st->tx, sizeof st->tx);
     if (n < 0)
         return;
+    st->ready_told &= status;
     st->tx_n = (uint16_t)n;
     st->tx_kind = DPM_TX_REPLY;
     st->tx_not_before = rx->end_latest + st->min_tsdr;
@@ -181,18 +229,23 @@ static void receive(dpm_station *st, const dpm_received *rx)
     const dpm_telegram *t = &rx->telegram;
     const bool token = t->format == DPM_SD4;
     const bool request = !token && t->format != DPM_SC && (t->fc & DPM_FC_REQUEST);
-    if (st->state == DPM_FDL_OFFLINE)
-        return;
-    if (token && t->sa != st->config.address && awaits_answer(st)) {
+    const bool ours = t->sa == st->config.address;
+    if (token && !ours && awaits_answer(st)) {
         /* SD4 has no check sequence: three octets of noise before an answer can look like one. If it was a token, no
          * answer comes, and the end of the slot says so. */
         st->suspect = t->sa;
-    } else if ((token || request) && t->sa != st->config.address) {
-        heard_foreign(st, t->sa, rx->end_latest);
-        if (request && t->da == st->config.address && !is_sdn(FC_CODE(t->fc)))
+        st->suspect_da = t->da;
+    } else if (token) {
+        heard_token(st, t->sa, t->da, rx);
+    } else if (request && !ours) {
+        heard_request(st, t, rx->end_latest);
+        if (t->da == st->config.address && !is_sdn(FC_CODE(t->fc)) && st->state > DPM_FDL_PASSIVE_IDLE)
             reply(st, rx);
-    } else if (!token && !request && is_answer(st, rx)) {
+    } else if (!request && is_answer(st, rx)) {
         finish_answered(st, rx, t->format == DPM_SC || mirrors_saps(st, t) ? DPM_CONF_ANSWER : DPM_CONF_INVALID);
+    } else if (!request && t->format == DPM_SD1 && t->da == st->config.address && st->tx_kind == DPM_TX_NONE &&
+               st->state == DPM_FDL_AWAIT_STATUS_RESPONSE) {
+        dpm_token_poll_answered(st, t->sa, t->fc, rx->end_latest);
     } else {
         st->statistics.stray++;
     }
@@ -214,6 +267,10 @@ static void station_octets(dpm_machine *machine, const dpm_span *given)
     st->heard = end;
     if (st->tx_kind == DPM_TX_REPLY)
         st->tx_kind = DPM_TX_NONE; /* the bus went on without it */
+    if (st->state == DPM_FDL_CHECK_TOKEN_PASS) { /* activity: the successor has it */
+        st->passes = 0;
+        st->state = DPM_FDL_ACTIVE_IDLE;
+    }
     while (dpm_receiver_take(&st->receiver, &span, &rx))
         receive(st, &rx);
 }
@@ -231,7 +288,8 @@ static bool slot_is_over(const dpm_station *st, int64_t until)
 static void slot_ran_out(dpm_station *st, int64_t until)
 {
     if (st->suspect >= 0) {
-        heard_foreign(st, (uint8_t)st->suspect, until);
+        const dpm_received token = {.end_earliest = until, .end_latest = until};
+        heard_token(st, (uint8_t)st->suspect, st->suspect_da, &token);
         return;
     }
     if (st->tries > st->retries) {
@@ -249,37 +307,44 @@ static void station_quiet(dpm_machine *machine, int64_t until)
     dpm_received rx;
     while (dpm_receiver_quiet(&st->receiver, until, &rx))
         receive(st, &rx);
-    /* EN 50170 part 4: after Tto of silence the station with the lowest address claims the token, with two tokens. */
-    if (st->state == DPM_FDL_LISTEN_TOKEN && st->last_activity >= 0 && until >= right_ends(st)) {
-        st->claims = 2;
-        enter(st, DPM_FDL_CLAIM_TOKEN, until);
+    if (st->tx_kind != DPM_TX_NONE)
+        return;
+    switch (st->state) {
+    case DPM_FDL_LISTEN_TOKEN:
+    case DPM_FDL_ACTIVE_IDLE:
+        /* EN 50170 part 4: after Tto of silence the station with the lowest address claims the token. */
+        if (st->last_activity >= 0 && until >= silence_ends(st))
+            dpm_token_claim(st, until);
+        break;
+    case DPM_FDL_AWAIT_DATA_RESPONSE:
+        if (slot_is_over(st, until))
+            slot_ran_out(st, until);
+        break;
+    case DPM_FDL_CHECK_TOKEN_PASS:
+    case DPM_FDL_AWAIT_STATUS_RESPONSE:
+        if (slot_is_over(st, until))
+            dpm_token_slot_over(st, until);
+        break;
+    default:
+        break;
     }
-    if (awaits_answer(st) && slot_is_over(st, until))
-        slot_ran_out(st, until);
 }
 
-static void begin_turn(dpm_station *st, int64_t now)
+void dpm_station_begin_turn(dpm_station *st, int64_t now)
 {
     st->worked = false;
-    enter(st, DPM_FDL_USE_TOKEN, now);
+    st->users_wake = 0;
+    dpm_station_enter(st, DPM_FDL_USE_TOKEN, now);
     for (unsigned i = 0; i < st->n_users; i++)
         if (st->users[i].token)
             st->users[i].token(st->users[i].context, now, true);
-}
-
-static void token_sent(dpm_station *st, int64_t now)
-{
-    st->statistics.tokens++;
-    if (st->state == DPM_FDL_CLAIM_TOKEN && --st->claims > 0)
-        return;
-    st->token_at = now;
-    begin_turn(st, now); /* NS is TS: passing the token is receiving it */
 }
 
 static void request_sent(dpm_station *st)
 {
     st->tries++;
     st->worked = true;
+    st->spoke = true;
     st->users_wake = 0;
     if (is_sdn(st->function)) {
         dpm_confirm confirm = {.status = DPM_CONF_SENT, .tsdr = -1};
@@ -292,7 +357,7 @@ static void request_sent(dpm_station *st)
     st->statistics.repetitions += st->tries > 1;
     st->heard = -1;
     st->suspect = -1;
-    st->deadline = st->tx_end_latest + st->tsl + st->config.traits.allowance;
+    st->deadline = st->tx_end_latest + slot_of(st);
     st->state = DPM_FDL_AWAIT_DATA_RESPONSE;
 }
 
@@ -309,8 +374,14 @@ static void station_sent(dpm_machine *machine, int64_t start, int64_t end_earlie
     st->statistics.send_failed += result != DPM_SENT_WHOLE;
     if (kind == DPM_TX_REQUEST)
         request_sent(st); /* one that did not leave whole is repeated when its slot runs out */
-    else if (kind == DPM_TX_TOKEN && result == DPM_SENT_WHOLE)
-        token_sent(st, end_latest);
+    else if (kind == DPM_TX_STATUS)
+        dpm_token_poll_sent(st);
+    else if (kind == DPM_TX_REPLY && result == DPM_SENT_WHOLE)
+        dpm_token_status_told(st, end_latest);
+    else if (kind == DPM_TX_TOKEN && result == DPM_SENT_WHOLE) {
+        st->statistics.tokens++;
+        dpm_token_sent(st, end_latest);
+    }
 }
 
 /* --- what to send ------------------------------------------------------------------------------------------------ */
@@ -365,21 +436,12 @@ static void take_request(dpm_station *st, dpm_fdl_user *user, const dpm_request 
     st->tx_not_before = st->not_before;
 }
 
-static void make_token(dpm_station *st)
-{
-    st->tx[0] = DPM_SD4;
-    st->tx[1] = st->config.address;
-    st->tx[2] = st->config.address;
-    st->tx_n = 3;
-    st->tx_kind = DPM_TX_TOKEN;
-    st->tx_not_before = st->not_before;
-}
-
-/* Ask the users by priority for a request; without one, when they may have one. */
-static int64_t ask_users(dpm_station *st, int64_t now)
+/* Ask the users by priority for a request; without one, when they may have one. Past the token hold time only the first
+ * user is asked: its messages are those of high priority. */
+static int64_t ask_users(dpm_station *st, int64_t now, bool high_only)
 {
     int64_t wake = DPM_NEVER;
-    for (unsigned i = 0; i < st->n_users; i++) {
+    for (unsigned i = 0; i < st->n_users && !(high_only && i > 0); i++) {
         dpm_request request = {.dsap = DPM_NO_SAP, .ssap = DPM_NO_SAP};
         if (st->users[i].next(st->users[i].context, now, &request, &wake)) {
             take_request(st, &st->users[i], &request);
@@ -391,20 +453,27 @@ static int64_t ask_users(dpm_station *st, int64_t now)
     return wake;
 }
 
-/* The token is held: work of the users, else pass it on. A sole master with more to do begins its next turn without a
- * telegram, ten slot times long at most (within any Ttr); with nothing to do the token still goes round before the bus
- * has been silent for two thirds of the shortest Tto, so that no other master takes it for lost. Returns when to look
- * again. */
-static int64_t use_token(dpm_station *st, int64_t now)
+/* Check_Access_Time: one message of high priority always, more while the token hold time lasts. */
+static void use_token_in_ring(dpm_station *st, int64_t now)
+{
+    const bool over = now >= st->hold_until;
+    if (!(over && st->worked))
+        ask_users(st, now, over);
+    if (st->tx_kind == DPM_TX_NONE && st->state == DPM_FDL_USE_TOKEN)
+        st->state = DPM_FDL_PASS_TOKEN;
+}
+
+/* Alone: work of the users, else the token to oneself. With more to do the next turn begins without a telegram, ten slot
+ * times long at most (within any Ttr); with nothing to do the token still goes round before the bus has been silent for
+ * two thirds of the shortest Tto, so that no other master takes it for lost. Returns when to look again. */
+static int64_t use_token_alone(dpm_station *st, int64_t now)
 {
     const int64_t idle_end = st->last_activity + st->idle;
-    if (now < st->not_before)
-        return max_of(st->not_before, min_of(st->users_wake, idle_end));
-    st->users_wake = ask_users(st, now);
+    st->users_wake = ask_users(st, now, false);
     if (st->state == DPM_FDL_USE_TOKEN && st->tx_kind == DPM_TX_NONE && st->worked && st->users_wake <= now &&
         now < st->token_at + st->turn) {
-        begin_turn(st, now);
-        st->users_wake = ask_users(st, now);
+        dpm_station_begin_turn(st, now);
+        st->users_wake = ask_users(st, now, false);
     }
     if (st->tx_kind != DPM_TX_NONE || st->state != DPM_FDL_USE_TOKEN)
         return now;
@@ -414,30 +483,52 @@ static int64_t use_token(dpm_station *st, int64_t now)
     return now;
 }
 
+static int64_t use_token(dpm_station *st, int64_t now)
+{
+    const bool alone = dpm_token_alone(st);
+    if (now < st->not_before)
+        return alone ? max_of(st->not_before, min_of(st->users_wake, st->last_activity + st->idle)) : st->not_before;
+    if (alone)
+        return use_token_alone(st, now);
+    use_token_in_ring(st, now);
+    return now;
+}
+
 /* When silence will let the machine conclude something. */
 static int64_t silence_at(const dpm_station *st)
 {
     const int64_t unfinished = dpm_receiver_deadline(&st->receiver);
-    if (st->state == DPM_FDL_LISTEN_TOKEN)
-        return min_of(unfinished, right_ends(st));
-    if (st->state != DPM_FDL_AWAIT_DATA_RESPONSE)
+    switch (st->state) {
+    case DPM_FDL_LISTEN_TOKEN:
+    case DPM_FDL_ACTIVE_IDLE:
+        return min_of(unfinished, silence_ends(st));
+    case DPM_FDL_AWAIT_DATA_RESPONSE:
+    case DPM_FDL_AWAIT_STATUS_RESPONSE:
+    case DPM_FDL_CHECK_TOKEN_PASS:
+        if (st->heard < 0)
+            return min_of(unfinished, st->deadline);
+        return min_of(unfinished, max_of(st->deadline, st->heard + st->tsyn + st->config.traits.granularity));
+    default:
         return unfinished;
-    if (st->heard < 0)
-        return min_of(unfinished, st->deadline);
-    return min_of(unfinished, max_of(st->deadline, st->heard + st->tsyn + st->config.traits.granularity));
+    }
 }
 
-/* Our own silence was so long that another master may have claimed the token: nothing is sent on an old right.
- * An answer still awaited is judged by its slot, not here. */
+/* Our own silence was so long that another master may have the token: nothing is sent on an old right. What others did
+ * meanwhile is unknown, so we listen for a whole Tto. An answer still awaited is judged by its slot, not here. */
 static void drop_stale_token(dpm_station *st, int64_t now)
 {
-    if (!in_ring(st->state) || awaits_answer(st) || now <= right_ends(st))
+    const bool waits = st->tx_kind == DPM_TX_NONE &&
+                       (st->state == DPM_FDL_AWAIT_DATA_RESPONSE || st->state == DPM_FDL_AWAIT_STATUS_RESPONSE);
+    const bool talks = holds_token(st) || st->state == DPM_FDL_CLAIM_TOKEN;
+    if (!talks || waits || now <= right_ends(st))
         return;
     st->statistics.tokens_lost++;
     st->statistics.late_dropped += st->tx_kind != DPM_TX_NONE;
     put_event(st, now, DPM_EV_LATE, 0, 0, now - right_ends(st));
-    give_way(st, now, false);
-    st->last_activity = now; /* what others did meanwhile is unknown: listen for a whole Tto */
+    dpm_station_drop_token(st, DPM_FDL_ACTIVE_IDLE, now, false);
+    if (dpm_token_alone(st))
+        dpm_token_listen(st, now);
+    st->last_activity = now;
 }
 
 static void drop_late_reply(dpm_station *st, int64_t now)
@@ -453,7 +544,7 @@ static void station_ask(dpm_machine *machine, int64_t now, dpm_offer *offer)
 {
     dpm_station *st = (dpm_station *)machine;
     *offer = (dpm_offer){.octets = st->tx, .not_before = now, .not_after = DPM_NEVER, .wake = DPM_NEVER};
-    if (st->state == DPM_FDL_OFFLINE)
+    if (st->state <= DPM_FDL_PASSIVE_IDLE)
         return;
     if (st->last_activity < 0)
         st->last_activity = now;
@@ -462,7 +553,7 @@ static void station_ask(dpm_machine *machine, int64_t now, dpm_offer *offer)
     if (st->tx_kind == DPM_TX_NONE && st->state == DPM_FDL_USE_TOKEN)
         offer->wake = use_token(st, now);
     if (st->tx_kind == DPM_TX_NONE && (st->state == DPM_FDL_CLAIM_TOKEN || st->state == DPM_FDL_PASS_TOKEN))
-        make_token(st);
+        dpm_token_make(st, now);
     if (st->tx_kind == DPM_TX_NONE) {
         offer->wake = min_of(offer->wake, silence_at(st));
         return;
@@ -505,6 +596,8 @@ int dpm_station_init(void *block, size_t size, const dpm_station_config *config,
         return DPM_E_ADDRESS;
     if (dpm_parameters_check(p, config->address, &refusal) < 0)
         return DPM_E_PARAMETER;
+    if (config->role == DPM_ROLE_RING && dpm_ring_tsl(p, config->traits.allowance) > p->tsl)
+        return DPM_E_SLOT;
     dpm_station *st = block;
     memset(st, 0, sizeof *st);
     st->machine.octets = station_octets;
@@ -516,6 +609,9 @@ int dpm_station_init(void *block, size_t size, const dpm_station_config *config,
     st->last_activity = -1;
     st->foreign = -1;
     st->heard = -1;
+    st->ring.ts = config->address;
+    st->ring.ns = config->address;
+    st->ring.ps = config->address;
     dpm_receiver_init(&st->receiver, dpm_bits_up(p, DPM_CHARACTER_BITS), st->tsyn + config->traits.granularity, 0);
     *station = st;
     return DPM_OK;
@@ -552,13 +648,14 @@ void dpm_station_online(dpm_station *station, bool online, int64_t now)
 {
     if (online == (station->state != DPM_FDL_OFFLINE))
         return;
-    if (station->user)
-        finish_unanswered(station, now, DPM_CONF_DS);
-    station->tx_kind = DPM_TX_NONE;
+    dpm_station_drop_token(station, DPM_FDL_OFFLINE, now, false);
     dpm_receiver_flush(&station->receiver);
     station->last_activity = -1; /* Tto counts from the first look at the bus */
     station->not_before = 0;
-    enter(station, online ? DPM_FDL_LISTEN_TOKEN : DPM_FDL_OFFLINE, now);
+    if (online && station->config.role == DPM_ROLE_PASSIVE)
+        dpm_station_enter(station, DPM_FDL_PASSIVE_IDLE, now);
+    else if (online)
+        dpm_token_listen(station, now);
 }
 
 int dpm_station_state(const dpm_station *station) { return station->state; }

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: MIT
  *
- * The FDL station's memory, for station.c and for the DP master that contains one.
+ * The FDL station's memory, for station.c (the exchange), token.c (the ring), and the DP master that contains one.
  */
 #ifndef DPM_CORE_STATION_PRIVATE_H
 #define DPM_CORE_STATION_PRIVATE_H
@@ -12,7 +12,7 @@
 #define DPM_STATION_RINGS 8
 
 /* The telegram that waits for its time. */
-enum dpm_tx_kind { DPM_TX_NONE = 0, DPM_TX_TOKEN, DPM_TX_REQUEST, DPM_TX_REPLY };
+enum dpm_tx_kind { DPM_TX_NONE = 0, DPM_TX_TOKEN, DPM_TX_STATUS, DPM_TX_REQUEST, DPM_TX_REPLY };
 
 /* The frame count bit of one responder (EN 50170 part 4, "FCB"). */
 enum dpm_fcb { DPM_FCB_UNKNOWN = 0, DPM_FCB_NEXT_0, DPM_FCB_NEXT_1 };
@@ -32,6 +32,9 @@ struct dpm_station {
     uint8_t claims;        /* tokens still to send in Claim_Token */
     bool worked;           /* something was sent since the token came */
     int64_t token_at;      /* the token came */
+    int64_t hold_until;    /* token hold time: Ttr - Trr after that */
+    int64_t speak_until;   /* the first telegram of a turn: behind this the predecessor takes us for gone */
+    bool spoke;            /* the turn's first telegram is out */
     int64_t users_wake;    /* no user has work before this; 0: not known, ask them */
     int64_t last_activity; /* latest end of anything on the bus, ours too; -1: nothing known yet */
     int64_t not_before;    /* Tid1 or Tid2 after it: the earliest next transmission of ours */
@@ -53,9 +56,53 @@ struct dpm_station {
     int16_t foreign;       /* the foreign master heard last, -1 none */
 
     uint8_t fcb[128];      /* enum dpm_fcb, by address */
+
+    /* the ring */
+    dpm_ring_view ring;
+    uint8_t seen[16];      /* Listen_Token: who sent a token in the rotation under way */
+    bool listened;         /* Listen_Token: one rotation was seen whole */
+    bool ready;            /* Listen_Token: the LAS was the same in two rotations */
+    bool ready_told;       /* the answer in tx says "ready" */
+    uint8_t own_heard;     /* tokens with our address that we did not send, in a row */
+    int16_t stranger;      /* sent us a token though it is not PS; -1 none */
+    uint8_t suspect_da;    /* whom the suspect's token was for */
+    uint8_t passes;        /* tries to pass the token */
+    bool gap_polled;       /* one address per token */
+    uint8_t gap_at;        /* the address polled last */
+    int64_t gap_wait;      /* the GAP rests until then */
 };
 
 /* Put one event into every ring. */
 void dpm_station_event(dpm_station *station, const dpm_event *event);
+
+/* --- token.c ------------------------------------------------------------------------------------------------------ */
+
+/* Whether the station is the only active one it knows. */
+bool dpm_token_alone(const dpm_station *station);
+/* A token of another station, or one with our address that is not ours. */
+void dpm_token_heard(dpm_station *station, uint8_t sa, uint8_t da, const dpm_received *received);
+/* FC of our answer to FDL status; `told` when it is out. */
+uint8_t dpm_token_status(dpm_station *station);
+void dpm_token_status_told(dpm_station *station, int64_t now);
+/* Silence for Tto: claim the token. */
+void dpm_token_claim(dpm_station *station, int64_t now);
+/* In Pass_Token: put the GAP poll or the token into tx. */
+void dpm_token_make(dpm_station *station, int64_t now);
+/* Our token, or our GAP poll, is out. */
+void dpm_token_sent(dpm_station *station, int64_t now);
+void dpm_token_poll_sent(dpm_station *station);
+/* Await_Status_Response, Check_Token_Pass: an answer, or the end of the slot. */
+void dpm_token_poll_answered(dpm_station *station, uint8_t address, uint8_t fc, int64_t now);
+void dpm_token_slot_over(dpm_station *station, int64_t now);
+/* Listen from the beginning: nothing is known about the ring. */
+void dpm_token_listen(dpm_station *station, int64_t now);
+
+/* --- station.c ---------------------------------------------------------------------------------------------------- */
+
+void dpm_station_enter(dpm_station *station, uint8_t state, int64_t now);
+/* A turn of the token begins: users may send. */
+void dpm_station_begin_turn(dpm_station *station, int64_t now);
+/* The token is not ours any more: the exchange under way ends without an answer. `lost`: the bus is, too. */
+void dpm_station_drop_token(dpm_station *station, uint8_t state, int64_t now, bool lost);
 
 #endif

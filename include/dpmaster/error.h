@@ -32,7 +32,8 @@ enum dpm_error {
     DPM_E_SETTINGS = -21,   /* the port does not keep 8E1 or the rate */
     DPM_E_GONE = -22,       /* the port vanished */
     DPM_E_SYSTEM = -23,     /* the system refused; errno says why */
-    DPM_E_DISCARDED = -24   /* a commit that no telegram will carry any more: it was overtaken, or outputs went safe */
+    DPM_E_DISCARDED = -24,  /* a commit that no telegram will carry any more: it was overtaken, or outputs went safe */
+    DPM_E_SLOT = -25        /* the slot time has no room for how late this host may wake */
 };
 
 /* English text for a code of enum dpm_error, never NULL. */

@@ -17,7 +17,9 @@ enum dpm_event_kind {
     DPM_EV_FOREIGN,         /* a foreign master was heard: a = its address */
     DPM_EV_WATCHDOG,        /* the output watchdog ran out: a = what fed it last (enum dpm_feed) */
     DPM_EV_LATE,            /* a telegram was dropped because the host was late: value = ns late */
-    DPM_EV_PORT             /* the port: a = 0 working, or the error code; the bus layer puts this one */
+    DPM_EV_PORT,            /* the port: a = 0 working, or the error code; the bus layer puts this one */
+    DPM_EV_DUPLICATE,       /* another station has our address: the bus was left */
+    DPM_EV_LIVE             /* live list: address answers differently: a = new, b = old (enum dpm_live) */
 };
 
 typedef struct dpm_event {

@@ -1,11 +1,12 @@
 /* SPDX-License-Identifier: MIT
  *
- * The active FDL station (EN 50170 part 4; IEC 61158-4-3 clause 8): owns the token, carries one exchange at a time
- * with retries and the frame count bit, answers FDL status, gives way to a foreign token. It serves users (the DP
- * master, raw requests) that it asks for work when it holds the token.
+ * The active FDL station (EN 50170 part 4; IEC 61158-4-3 clause 8): one exchange at a time with retries and the frame
+ * count bit, FDL status, and its place on the bus. It serves users (the DP master, raw requests) that it asks for work
+ * when it holds the token.
  *
- * Today it is a sole master: LAS is itself, GAP is not polled, the token goes to itself. Every place where the token ring
- * differs is a state of its own already.
+ * In the ring it builds its list of active stations (LAS), takes the token from its predecessor (PS), uses it for the
+ * token hold time, looks after its GAP and passes the token to its successor (NS). As a sole master it has the token
+ * for itself and goes silent when it hears a foreign one. A passive station never sends a bit.
  */
 #ifndef DPMASTER_STATION_H
 #define DPMASTER_STATION_H
@@ -15,14 +16,51 @@
 #include "dpmaster/parameters.h"
 #include "dpmaster/receiver.h"
 
+/* The standard's states under the standard's names. Check_Access_Time is a decision, no state to rest in. */
 enum dpm_fdl_state {
     DPM_FDL_OFFLINE = 0,
+    DPM_FDL_PASSIVE_IDLE,
     DPM_FDL_LISTEN_TOKEN,
+    DPM_FDL_ACTIVE_IDLE,
     DPM_FDL_CLAIM_TOKEN,
     DPM_FDL_USE_TOKEN,
     DPM_FDL_AWAIT_DATA_RESPONSE,
-    DPM_FDL_PASS_TOKEN
+    DPM_FDL_PASS_TOKEN,
+    DPM_FDL_CHECK_TOKEN_PASS,
+    DPM_FDL_AWAIT_STATUS_RESPONSE
 };
+
+/* How a station takes part. A host that wakes late may only enter a ring whose slot time has room for it:
+ * max Tsdr + 15 Tbit + allowance <= Tsl. */
+enum dpm_role {
+    DPM_ROLE_SOLE = 0,  /* alone on the bus, else silent; waits Tsl + allowance for answers */
+    DPM_ROLE_RING,      /* DPM_E_SLOT at set-up where the slot time has no room */
+    DPM_ROLE_PASSIVE    /* listens only */
+};
+
+/* What an address answered to FDL status last. */
+enum dpm_live {
+    DPM_LIVE_UNKNOWN = 0,     /* not asked yet */
+    DPM_LIVE_NONE,
+    DPM_LIVE_SLAVE,
+    DPM_LIVE_MASTER_NOT_READY,
+    DPM_LIVE_MASTER_READY,
+    DPM_LIVE_MASTER_IN_RING
+};
+
+/* The station's view of the ring. */
+typedef struct dpm_ring_view {
+    uint8_t las[16];          /* list of active stations: bit n % 8 of octet n / 8 is address n */
+    uint8_t ts;               /* this station */
+    uint8_t ns;               /* the next one; ts: alone */
+    uint8_t ps;               /* the previous one */
+    uint8_t live[128];        /* enum dpm_live, by address: what our GAP polls and the tokens heard tell */
+    uint64_t rotations;       /* times the token came */
+    int64_t trr;              /* ns, the last real rotation time, 0 none yet */
+    int64_t trr_min;
+    int64_t trr_max;
+} dpm_ring_view;
+
 
 /* What became of a request, besides the FC of the answer. */
 enum dpm_confirm_status {
@@ -77,6 +115,8 @@ typedef struct dpm_fdl_statistics {
     uint64_t foreign;          /* tokens and requests of foreign masters */
     uint64_t send_failed;
     uint64_t tokens_lost;      /* times the token was given up after our own silence */
+    uint64_t token_repetitions; /* tokens sent again because the successor was silent */
+    uint64_t gap_polls;
     uint32_t rejected[DPM_REJECT_COUNT]; /* octets thrown away by the receiver; [0] counts good telegrams */
 } dpm_fdl_statistics;
 
@@ -85,11 +125,12 @@ typedef struct dpm_station dpm_station;
 typedef struct dpm_station_config {
     dpm_parameters parameters;
     uint8_t address;           /* TS, 0..125 */
+    uint8_t role;              /* enum dpm_role */
     dpm_port_traits traits;
 } dpm_station_config;
 
 DPM_API size_t dpm_station_size(void);
-/* DPM_E_BLOCK, DPM_E_PARAMETER, DPM_E_ADDRESS. The block is the caller's and must outlive the station. */
+/* DPM_E_BLOCK, DPM_E_PARAMETER, DPM_E_ADDRESS, DPM_E_SLOT. The block is the caller's and must outlive the station. */
 DPM_API int dpm_station_init(void *block, size_t size, const dpm_station_config *config, dpm_station **station);
 DPM_API dpm_machine *dpm_station_machine(dpm_station *station);
 /* Up to 4 users, asked in the order they were added: the first has priority. DPM_E_FULL. */
@@ -100,6 +141,9 @@ DPM_API int dpm_station_remove_ring(dpm_station *station, dpm_ring *ring);
 /* Leave Offline for Listen_Token, or go Offline at once: nothing more is sent. */
 DPM_API void dpm_station_online(dpm_station *station, bool online, int64_t now);
 DPM_API int dpm_station_state(const dpm_station *station);
+DPM_API void dpm_station_get_ring(const dpm_station *station, dpm_ring_view *view);
+/* Slot time in Tbit that a ring needs for a host with this allowance (ns): max Tsdr + 15 + allowance, rounded up. */
+DPM_API uint32_t dpm_ring_tsl(const dpm_parameters *parameters, int64_t allowance);
 DPM_API void dpm_station_statistics(const dpm_station *station, dpm_fdl_statistics *statistics);
 /* Forget a station's frame count bit: the next request to it is a first contact (FCB = 1, FCV = 0). */
 DPM_API void dpm_station_restart(dpm_station *station, uint8_t address);

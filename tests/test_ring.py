@@ -1,0 +1,390 @@
+# SPDX-License-Identifier: MIT
+"""The token ring, one event at a time: listening, entering, taking and passing the token, GAP, loss, duplicates.
+
+A station of ours (address 5) among others played by hand; protocol page E. What many stations of ours do among
+themselves, with every rule of the wire watched, is test_ring_soak.py's.
+"""
+
+from __future__ import annotations
+
+import pytest
+from wire import MS, Master, S, Script, Slaves, Wire, default_parameters, lib, octets
+
+RING = lib.DPM_ROLE_RING
+TSL = 200  # Tbit at 500 kbit/s
+
+
+def token(da: int, sa: int) -> bytes:
+    return bytes([0xDC, da, sa])
+
+
+def status(da: int, sa: int) -> bytes:
+    """FDL status request."""
+    return bytes([0x10, da, sa, 0x49, (da + sa + 0x49) & 0xFF, 0x16])
+
+
+def answer(da: int, sa: int, fc: int) -> bytes:
+    return bytes([0x10, da, sa, fc, (da + sa + fc) & 0xFF, 0x16])
+
+
+class Bus:
+    """Our master at 5 in Stop, on a bus where a test plays 2, 9 and others."""
+
+    def __init__(self, **options) -> None:
+        self.master = Master(500_000, address=5, role=RING, **options)
+        self.master.mode(lib.DPM_MODE_STOP)
+        self.script = Script(self.master)
+
+    @property
+    def state(self) -> int:
+        return self.master.status.fdl_state
+
+    def rotations(self, n: int) -> None:
+        """Tokens 2 -> 9 -> 2, which our station only hears."""
+        for _ in range(n):
+            self.script.answer(token(9, 2), tsdr=37)
+            self.script.answer(token(2, 9), tsdr=37)
+
+    def listened(self) -> None:
+        self.script.next(limit=self.script.bits(50), tokens=True)
+        self.rotations(4)
+
+    def entered(self) -> None:
+        """Polled by 2, ready, the token comes."""
+        self.listened()
+        self.script.answer(status(5, 2), tsdr=37)
+        assert self.script.next(limit=self.script.bits(120)) == answer(2, 5, 0x20)
+        self.script.answer(token(5, 2), tsdr=37)
+        assert self.state == lib.DPM_FDL_USE_TOKEN
+
+    def passed(self) -> bytes:
+        """Our telegrams up to our token, which is returned; GAP polls stay without answer."""
+        while (sent := self.script.next(tokens=True))[0] != 0xDC:
+            assert sent[3] == 0x49, sent.hex(" ")
+        return sent
+
+
+# --- listening and entering ------------------------------------------------------------------------------------------
+
+
+def test_not_ready_before_two_equal_rotations_then_ready_then_in_the_ring():
+    """FC 10, 20, 30 (protocol page E.1, B.4 #37 to #39)."""
+    bus = Bus()
+    bus.script.next(limit=bus.script.bits(50))
+    bus.rotations(1)
+    bus.script.answer(status(5, 2), tsdr=37)
+    assert bus.script.next(limit=bus.script.bits(120)) == octets("10 02 05 10 17 16")
+    bus.rotations(3)
+    assert bus.master.las == {2, 9}
+    bus.script.answer(status(5, 2), tsdr=37)
+    assert bus.script.next(limit=bus.script.bits(120)) == octets("10 02 05 20 27 16")
+    assert bus.state == lib.DPM_FDL_ACTIVE_IDLE and bus.master.las == {2, 5, 9}
+    bus.script.answer(status(5, 2), tsdr=37)
+    assert bus.script.next(limit=bus.script.bits(120)) == octets("10 02 05 30 37 16")
+
+
+def test_a_list_that_changes_is_listened_to_anew():
+    bus = Bus()
+    bus.script.next(limit=bus.script.bits(50))
+    bus.rotations(2)
+    bus.script.answer(token(9, 7), tsdr=37)  # one more station
+    bus.script.answer(token(2, 9), tsdr=37)
+    bus.script.answer(status(5, 2), tsdr=37)
+    assert bus.script.next(limit=bus.script.bits(120)) == answer(2, 5, 0x10)
+
+
+def test_it_never_takes_a_token_before_it_was_asked():
+    bus = Bus()
+    bus.listened()
+    bus.script.answer(token(5, 2), tsdr=37)
+    bus.script.answer(token(5, 2), tsdr=200)
+    assert bus.script.next(limit=bus.script.bits(190), tokens=True) == b""
+
+
+def test_the_token_from_ps_is_used_and_passed_to_ns_in_time():
+    """Tid1 behind the token, within the predecessor's slot."""
+    bus = Bus()
+    bus.entered()
+    came = bus.script.now
+    sent = bus.script.next(tokens=True)
+    assert sent == status(6, 5), "the GAP is TS + 1 to NS - 1"
+    assert bus.script.idle_bits(came) == pytest.approx(37, abs=0.1)
+    end = bus.script.last.end
+    assert bus.script.next(tokens=True) == token(9, 5)
+    assert bus.script.idle_bits(end) == pytest.approx(TSL, abs=0.1), "nobody at 6"
+    bus.script.answer(token(2, 9), tsdr=37)
+    assert bus.state == lib.DPM_FDL_ACTIVE_IDLE
+
+
+def test_a_stranger_is_believed_at_its_second_try():
+    """Protocol page E.2: "From any other SA: remember it; if the same SA sends it again, accept and make it the new PS"."""
+    bus = Bus()
+    bus.entered()
+    assert bus.passed() == token(9, 5)
+    bus.script.answer(token(3, 9), tsdr=37)  # 3 is new, and 2 is passed over
+    bus.script.answer(token(5, 3), tsdr=37)
+    assert bus.script.next(limit=bus.script.bits(190), tokens=True) == b""
+    bus.script.answer(token(5, 3), tsdr=10)
+    assert bus.state == lib.DPM_FDL_USE_TOKEN
+    assert bus.master.view.ps == 3 and bus.master.las == {3, 5, 9}
+
+
+def test_passed_over_it_leaves_and_listens():
+    """SA < TS < DA: we were dropped."""
+    bus = Bus()
+    bus.entered()
+    bus.passed()
+    bus.script.answer(token(2, 9), tsdr=37)
+    bus.script.answer(token(9, 2), tsdr=37)
+    assert bus.state == lib.DPM_FDL_LISTEN_TOKEN
+
+
+# --- passing ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_silent_successor_is_tried_three_times_and_dropped():
+    """One and two repetitions a slot apart, then the next one in the list (protocol page E.1)."""
+    bus = Bus()
+    bus.entered()
+    assert bus.passed() == token(9, 5)
+    for _ in range(2):
+        end = bus.script.last.end
+        assert bus.script.next(tokens=True) == token(9, 5)
+        assert bus.script.idle_bits(end) == pytest.approx(TSL, abs=0.1)
+    assert bus.script.next(tokens=True) == token(2, 5)
+    assert bus.master.las == {2, 5} and bus.master.status.fdl.token_repetitions == 2
+    assert bus.master.view.live[9] == lib.DPM_LIVE_NONE
+
+
+@pytest.mark.parametrize("activity", ["E5", "FF", "68 00", "DC 02 09"])
+def test_any_activity_is_a_successor_that_has_it(activity):
+    """"Waits Tsl for any bus activity. Activity -> success"."""
+    bus = Bus()
+    bus.entered()
+    bus.passed()
+    bus.script.answer(activity, tsdr=37)
+    assert bus.state == lib.DPM_FDL_ACTIVE_IDLE
+    assert bus.script.next(limit=bus.script.bits(3 * TSL), tokens=True) == b""
+
+
+def test_the_last_one_left_has_the_token_to_itself():
+    bus = Bus()
+    bus.entered()
+    bus.passed()
+    for _ in range(5):
+        bus.script.next(tokens=True)
+    assert bus.passed() == token(5, 5)
+    assert bus.master.las == {5}
+
+
+# --- GAP ---------------------------------------------------------------------------------------------------------------
+
+
+def test_the_gap_is_polled_one_address_per_token_and_then_rests_for_g_ttr():
+    bus = Bus()
+    bus.entered()
+    polls = []
+    for _ in range(8):
+        while (sent := bus.script.next(tokens=True))[0] != 0xDC:
+            polls.append(sent[1])
+        bus.script.answer(token(2, 9), tsdr=37)
+        bus.script.answer(token(5, 2), tsdr=37)
+    assert polls == [6, 7, 8]
+    g_ttr = bus.script.bits(bus.master.parameters.g * bus.master.parameters.ttr)
+    bus.script.now += g_ttr
+    bus.script.answer(token(2, 9), tsdr=37)
+
+
+def test_a_ready_master_in_the_gap_becomes_ns_and_gets_the_token_at_once():
+    bus = Bus()
+    bus.entered()
+    assert bus.script.next(tokens=True) == status(6, 5)
+    bus.script.answer(answer(5, 6, 0x20))
+    assert bus.script.next(tokens=True) == token(6, 5)
+    assert bus.master.las == {2, 5, 6, 9} and bus.master.view.live[6] == lib.DPM_LIVE_MASTER_READY
+
+
+@pytest.mark.parametrize("fc, live", [(0x00, "SLAVE"), (0x10, "MASTER_NOT_READY")])
+def test_others_in_the_gap_are_noted(fc, live):
+    bus = Bus()
+    bus.entered()
+    bus.script.next(tokens=True)
+    bus.script.answer(answer(5, 6, fc))
+    assert bus.script.next(tokens=True) == token(9, 5)
+    assert bus.master.view.live[6] == getattr(lib, f"DPM_LIVE_{live}")
+    assert (6, getattr(lib, f"DPM_LIVE_{live}")) in [(e.address, e.a) for e in bus.master.events() if e.kind == lib.DPM_EV_LIVE]
+
+
+def test_hsa_bounds_the_gap():
+    parameters = default_parameters(500_000)
+    parameters.hsa = 7
+    bus = Bus(parameters=parameters)
+    polls = []
+    while bus.script.now < 100 * MS:
+        sent = bus.script.next(tokens=True)
+        if sent[0] == 0x10:
+            polls.append(sent[1])
+    assert polls == [6, 7, 0, 1, 2, 3, 4]
+
+
+# --- token hold time ---------------------------------------------------------------------------------------------------
+
+
+def test_one_high_priority_cycle_even_when_the_rotation_took_too_long():
+    """Tth = Ttr - Trr; one message of high priority always, low priority and GAP only in the time left (E.1, D.3)."""
+    parameters = default_parameters(500_000)
+    parameters.ttr = 256
+    master = Master(parameters=parameters, address=5, role=RING)
+    for address in (20, 21, 22):
+        master.add(address, 0x0A35, b"\x21")
+    bus = Bus.__new__(Bus)
+    bus.master, bus.script = master, Script(master)
+    master.mode(lib.DPM_MODE_CLEAR)
+    bus.entered()
+    raw = master.request(30, lib.DPM_FDL_STATUS)
+    messages = []
+    for _ in range(40):
+        turn = []
+        while (sent := bus.script.next(tokens=True)) != token(9, 5):
+            turn.append(sent)
+        assert len(turn) <= 1 and all(sent[0] == 0x68 for sent in turn), "not the raw request, not the GAP"
+        messages += turn
+        bus.script.answer(token(2, 9), tsdr=37)
+        bus.script.answer(token(5, 2), tsdr=37)
+    assert len(messages) > 3 and not raw.done
+
+
+def test_the_token_is_not_kept_when_there_is_nothing_to_do():
+    bus = Bus()
+    bus.entered()
+    bus.passed()
+    bus.script.answer(token(2, 9), tsdr=37)
+    came = bus.script.answer(token(5, 2), tsdr=37)
+    bus.script.next(tokens=True)
+    assert bus.script.idle_bits(came) == pytest.approx(37, abs=0.1)
+
+
+# --- loss, doubles, strangers -------------------------------------------------------------------------------------------
+
+
+def test_a_lost_token_is_claimed_and_the_list_stands():
+    """"At re-initialisation the old LAS remains valid": two tokens to itself, then to NS."""
+    bus = Bus()
+    bus.entered()
+    bus.passed()
+    heard = bus.script.answer(token(2, 9), tsdr=37)
+    assert bus.script.next(tokens=True) == token(5, 5)
+    assert bus.script.idle_bits(heard) == pytest.approx((6 + 2 * 5) * TSL, abs=0.1)
+    assert bus.script.next(tokens=True) == token(5, 5)
+    assert bus.passed() == token(9, 5)
+    assert bus.master.las == {2, 5, 9}
+
+
+def test_it_gives_up_the_token_when_another_has_one():
+    """Await_Data_Response and the others: a foreign telegram -> Active_Idle."""
+    bus = Bus()
+    bus.entered()
+    bus.master.request(30, lib.DPM_SRD_HIGH, b"\1")
+    request = bus.script.next(tokens=True)
+    assert request[0] in (0x10, 0x68)
+    bus.script.answer("10 08 02 49 53 16", tsdr=50)
+    assert bus.state == lib.DPM_FDL_ACTIVE_IDLE
+    assert bus.script.next(limit=bus.script.bits(5 * TSL), tokens=True) == b""
+
+
+def test_a_duplicate_address_is_reported_and_the_bus_left():
+    """Listen_Token: own address as SA twice -> Offline."""
+    bus = Bus()
+    bus.script.next(limit=bus.script.bits(50))
+    bus.script.answer(token(9, 5), tsdr=37)
+    bus.script.answer(token(9, 5), tsdr=200)
+    assert bus.state == lib.DPM_FDL_OFFLINE
+    assert [e.address for e in bus.master.events() if e.kind == lib.DPM_EV_DUPLICATE] == [5]
+    assert bus.script.next(limit=1 * S, tokens=True) == b""
+
+
+def test_in_the_ring_two_foreign_tokens_of_ours_in_a_row_lead_to_listening():
+    bus = Bus()
+    bus.entered()
+    bus.passed()
+    bus.script.answer(token(2, 9), tsdr=37)
+    bus.script.answer(token(9, 5), tsdr=37)
+    assert bus.state == lib.DPM_FDL_ACTIVE_IDLE
+    bus.script.answer(token(9, 5), tsdr=200)
+    assert bus.state == lib.DPM_FDL_LISTEN_TOKEN
+
+
+@pytest.mark.parametrize("noise", ["E5", "FF", "00 00", "68", "DC 05"])
+@pytest.mark.parametrize("moment", range(4))
+def test_noise_at_every_moment_of_a_token_pass_heals(noise, moment):
+    """Two stations of ours; the ring is whole again within the standard's times."""
+    parameters = default_parameters(500_000)
+    masters = [Master(parameters=parameters, address=a, role=RING, slaves=1) for a in (5, 9)]
+    for master in masters:
+        master.mode(lib.DPM_MODE_STOP)
+    wire = Wire(parameters, *(m.machine for m in masters))
+    wire.run_until(lambda: all(m.las == {5, 9} for m in masters))
+    wire.run(wire.now + 20 * MS)
+    while wire.log[-1].octets[0] != 0xDC:
+        wire.step()
+    for _ in range(moment):
+        wire.step()
+    wire.mangle = lambda sent: (octets(noise) + sent.octets, sent.octets + octets(noise), octets(noise), b"")[moment]
+    wire.step()
+    wire.mangle = lambda sent: None
+    before = [m.view.rotations for m in masters]
+    wire.run(wire.now + wire.character * 3 * 40 + 16 * 400_000 * 2)
+    assert all(m.view.rotations > b + 3 for m, b in zip(masters, before, strict=True))
+    assert all(m.las == {5, 9} for m in masters)
+
+
+# --- roles ---------------------------------------------------------------------------------------------------------------
+
+
+def test_a_host_that_wakes_late_needs_room_in_the_slot():
+    """Design: max Tsdr + 15 + allowance <= Tsl, else it does not enter; the error names the Tsl needed."""
+    assert Master(500_000, role=RING, allowance=2 * MS).result == lib.DPM_E_SLOT
+    parameters = default_parameters(500_000)
+    needed = lib.dpm_ring_tsl(parameters, 2 * MS)
+    assert needed == 100 + 15 + 1000
+    parameters.tsl = needed - 1
+    assert Master(parameters=parameters, role=RING, allowance=2 * MS).result == lib.DPM_E_SLOT
+    parameters.tsl = needed
+    assert Master(parameters=parameters, role=RING, allowance=2 * MS).result == 0
+
+
+def test_a_passive_station_never_sends_a_bit():
+    master = Master(500_000, address=5, role=lib.DPM_ROLE_PASSIVE)
+    master.mode(lib.DPM_MODE_STOP)
+    script = Script(master)
+    for _ in range(4):
+        script.answer(token(9, 2), tsdr=37)
+        script.answer(token(2, 9), tsdr=37)
+        script.answer(status(5, 2), tsdr=37)
+        assert script.next(limit=20 * MS, tokens=True) == b""
+    assert master.las == {2, 9}
+    assert script.next(limit=10 * S, tokens=True) == b""
+
+
+def test_data_exchange_goes_on_in_a_ring_of_two_masters():
+    """Each with a slave of its own: both exchange, and neither slave ever hears the wrong one."""
+    parameters = default_parameters(1_500_000)
+    slaves = Slaves(parameters=parameters)
+    masters = []
+    for address, slave in ((1, 30), (2, 31)):
+        master = Master(parameters=parameters, address=address, role=RING, slaves=1)
+        master.add(slave, 0x00CA, b"\x72", watchdog=(1, 10))
+        slaves.add(slave, 0x00CA, b"\x72", user=(0, 0))
+        master.mode(lib.DPM_MODE_OPERATE)
+        masters.append(master)
+    wire = Wire(parameters, *(m.machine for m in masters), slaves.machine)
+    wire.run_until(lambda: all(m.slave(0).state == lib.DPM_ST_DATA for m in masters))
+    for i, master in enumerate(masters):
+        master.commit(0, bytes([i + 1] * 6), wire.now)
+    wire.run(wire.now + 100 * MS)
+    for i, master in enumerate(masters):
+        frame = slaves.outputs(i)
+        assert bytes(frame.octets[0:6]) == bytes([i + 1] * 6) and frame.valid
+        report = slaves.report(i)
+        assert report.master == master.view.ts and report.watchdog_expired == 0
+        assert master.slave(0).statistics.exchanges > 90 and master.slave(0).statistics.repetitions == 0
