@@ -7,6 +7,7 @@ refused too: True for 1, 5 for five zero octets, "5" for text.
 
 from __future__ import annotations
 
+import operator
 import os
 from collections.abc import Iterable
 from numbers import Real
@@ -15,10 +16,16 @@ from dpmaster.errors import ConfigurationError
 
 
 def whole(name: str, value: object, low: int, high: int, note: str = "") -> int:
-    """A whole number from `low` to `high`."""
-    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+    """A whole number from `low` to `high`; any type that is one (``__index__``: numpy's, too)."""
+    try:
+        if isinstance(value, bool):
+            raise TypeError
+        found = operator.index(value)  # type: ignore[arg-type]
+    except TypeError:
+        found = low - 1
+    if not low <= found <= high:
         raise ConfigurationError(f"{name} {value!r}: {low} to {high}{note}")
-    return value
+    return found
 
 
 def number(value: object) -> bool:

@@ -156,6 +156,9 @@ static void run(void *(*one)(void *), void *(*other)(void *), void *argument)
     REQUIRE(!pthread_join(threads[0], NULL) && !pthread_join(threads[1], NULL));
 }
 
+/* Nothing was wrong, but on a busy machine one thread may be through before the other has begun: run it again. */
+#define TOO_LITTLE 75
+
 int main(int argc, char **argv)
 {
     REQUIRE(argc == 2);
@@ -179,6 +182,5 @@ int main(int argc, char **argv)
     }
     printf("%llu commits, %u sent, %u discarded, %u times zeros\n", (unsigned long long)outputs->image.number, sent,
            discarded, zeros);
-    REQUIRE(sent && discarded && zeros);
-    return 0;
+    return sent && discarded && zeros ? 0 : TOO_LITTLE;
 }
