@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 __all__ = ["Event", "EventKind", "Events"]
 
 
+_LIVE = ("unknown", "nobody", "slave", "master, not ready", "master, ready", "master in the ring")  # enum dpm_live
+
+
 class EventKind(IntEnum):
     """What happened (``enum dpm_event_kind``, which says what a, b and value hold)."""
 
@@ -82,6 +85,10 @@ class Event:
                 return f"a telegram was dropped: the host was {self.value / 1e6:.3f} ms late"
             case EventKind.PORT:
                 return "port works" if not self.a else f"port: {_core.error(self.a)}"
+            case EventKind.DUPLICATE:
+                return "another station has this address too; the bus was left"
+            case EventKind.LIVE:
+                return f"live list: {_LIVE[self.b]} -> {_LIVE[self.a]}"
 
 
 class Events:
