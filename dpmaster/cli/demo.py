@@ -9,11 +9,14 @@ from __future__ import annotations
 
 import argparse
 import json
+import logging
 import math
+import shutil
 import sys
+import textwrap
 import time
 from collections.abc import Callable
-from typing import TextIO
+from typing import Literal, TextIO
 
 from dpmaster import Master
 from dpmaster.drives import YaskawaV7
@@ -26,15 +29,20 @@ NAME = "demo"
 HELP = "start an emulated drive on a virtual bus, follow its ramp, read and write parameters, stop it"
 
 ADDRESS = 5
-BAR = 40
+SUBJECT = 12  # columns of the first word of a line
+BAR = 20
+COLUMNS = 79  # of a line on a terminal: a picture that is wider than the terminal cannot be drawn over
 REDRAW = 0.05  # s between two pictures of the ramp on a terminal, and between two lines elsewhere
 LINE = 0.5
+SLOW = 19_200  # bit/s; up to here ten cycles of one drive can take longer than 1 s
 FLAGS = ("running", "reverse", "frequency_agree", "zero_speed")
 
 SAFETY = """\
-In a program of your own: when it ends, the drive is stopped first. When it is killed, the slave's watchdog stops the
-drive. When it hangs, or waits at an interactive prompt, for longer than the output watchdog (1 s), outputs go safe until
-operate() is called again: master.feed() says that you are there, output_watchdog=None switches that watchdog off."""
+In a program of your own: when it ends, the drive is stopped first. When it is
+killed, the slave's watchdog stops the drive. When it hangs, or waits at an
+interactive prompt, for longer than the output watchdog (1 s), outputs go safe
+until operate() is called again: master.feed() says that you are there,
+output_watchdog=None switches that watchdog off."""
 
 
 def number(low: float, high: float) -> Callable[[str], float]:
@@ -73,9 +81,16 @@ class Show:
         self.moving = not silent and stream.isatty()
         self.next = 0.0
 
+    @property
+    def width(self) -> int:
+        return min(COLUMNS, shutil.get_terminal_size().columns - 1)
+
     def line(self, subject: str, text: str) -> None:
         if not self.silent:
-            print(f"{subject:<11}{text}", file=self.stream, flush=True)
+            if self.moving:
+                rows = textwrap.wrap(text, max(SUBJECT, self.width - SUBJECT), break_on_hyphens=False)
+                text = f"\n{'':{SUBJECT}}".join(rows)
+            print(f"{subject:<{SUBJECT}}{text}", file=self.stream, flush=True)
 
     def ramp(self, status: V7Status) -> None:
         """The drive's frequency now, if it is time for a new picture."""
@@ -83,19 +98,26 @@ class Show:
         if self.silent or now < self.next:
             return
         self.next = now + (REDRAW if self.moving else LINE)
-        self._draw(status, "\r" if self.moving else "", "" if self.moving else "\n")
+        self._draw(status, "" if self.moving else "\n")
 
     def settled(self, status: V7Status) -> None:
         """The last picture of a ramp; it stays."""
         if not self.silent:
-            self._draw(status, "\r" if self.moving else "", "\n")
+            self._draw(status, "\n")
 
-    def _draw(self, status: V7Status, begin: str, end: str) -> None:
+    def end(self) -> None:
+        """Leave the picture that was being drawn, for what follows."""
+        if self.moving:
+            print(file=self.stream, flush=True)
+
+    def _draw(self, status: V7Status, end: str) -> None:
         hz, amperes = status.output_frequency or 0.0, status.current or 0.0
         filled = min(BAR, round(BAR * hz / self.frequency))
         flags = [name.replace("_", " ") for name in FLAGS if getattr(status, name)]
-        print(f"{begin}  [{'#' * filled}{'.' * (BAR - filled)}] {hz:6.2f} Hz {amperes:5.1f} A  {', '.join(flags):<34}",
-              end=end, file=self.stream, flush=True)
+        text = f"  [{'#' * filled}{'.' * (BAR - filled)}] {hz:6.2f} Hz {amperes:5.1f} A  {', '.join(flags)}"
+        if self.moving:
+            text = "\r" + text[:self.width].ljust(self.width)
+        print(text, end=end, file=self.stream, flush=True)
 
 
 def parameters(drive: YaskawaV7, show: Show, seconds: float) -> None:
@@ -139,7 +161,9 @@ def session(args: argparse.Namespace, show: Show) -> dict[str, object]:
         show.line("wire", f"{port}, {args.baudrate / 1000:g} kbit/s, {'paced' if args.paced else 'unpaced'}; "
                           f"a Yaskawa V7 with its card SI-P1 at address {ADDRESS}")
         with Master(port, baudrate=args.baudrate, address=1, cycle_time=0.005) as master:
-            drive = master.add(YaskawaV7(address=ADDRESS, configuration="Extended Data 1"))
+            # The lowest rates take longer than the second that the default watchdog grants; see --paced.
+            watchdog: float | Literal["default"] = "default" if args.baudrate > SLOW else 5.0
+            drive = master.add(YaskawaV7(address=ADDRESS, configuration="Extended Data 1", watchdog=watchdog))
             begin = time.monotonic()
             master.operate(timeout=5.0)
             start = time.monotonic() - begin
@@ -165,7 +189,14 @@ def session(args: argparse.Namespace, show: Show) -> dict[str, object]:
 
 def run(args: argparse.Namespace) -> int:
     show = Show(sys.stdout, args.frequency, args.json)
-    summary = session(args, show)
+    if show.moving:  # what is logged takes the place of the picture, which is drawn anew below it
+        logging.basicConfig(format=f"\r%(message)-{show.width}s")
+    try:
+        summary = session(args, show)
+    except KeyboardInterrupt:  # the `with` blocks have been left: the drive has its stop word
+        show.end()
+        show.line("interrupted", "the drive was given its stop word, then Clear, and was released")
+        raise
     if args.json:
         print(json.dumps(summary))
         return 0
