@@ -136,3 +136,27 @@ def test_python_dash_m_is_the_same_program() -> None:
     done = subprocess.run([sys.executable, "-m", "dpmaster", "--help"], capture_output=True, text=True, timeout=30)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.startswith("usage: dpmaster ")
+
+
+@pytest.mark.parametrize("argv", [["emulate", "si-p1", "--address", "0"], ["segment", "--ports", "0", "--link", "no-such-directory"],
+                                  ["segment", "--ports", "65", "--link", "no-such-directory"], ["decode", "zz"]])
+def test_arguments_that_break_a_rule_are_one_line_and_2(argv: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(argv) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and err.startswith(f"dpmaster {argv[0]}: ") and err.count("\n") == 1
+    assert not Path("no-such-directory").exists()
+
+
+def test_output_that_cannot_be_written_is_one_line_and_1() -> None:
+    with open("/dev/full", "w") as full:
+        done = subprocess.run([sys.executable, "-m", "dpmaster", "decode", "E5"], stdout=full, stderr=subprocess.PIPE, text=True,
+                              timeout=30)
+    assert (done.returncode, done.stderr) == (1, "dpmaster decode: No space left on device\n")
+
+
+def test_sigint_ends_a_command_that_a_script_put_behind_an_ampersand(tmp_path: Path) -> None:
+    """The shell starts those with SIGINT ignored."""
+    script = (f"{sys.executable} -m dpmaster segment --ports 1 --link {tmp_path}/wire > {tmp_path}/out & "
+              f"while [ ! -s {tmp_path}/out ]; do sleep 0.05; done; kill -INT $!; wait $!")
+    assert subprocess.run(["sh", "-c", script], timeout=30).returncode == 0
+    assert not (tmp_path / "wire").exists()

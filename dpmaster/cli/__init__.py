@@ -4,8 +4,9 @@
 - ``NAME`` and ``HELP`` (one line), ``add_arguments(parser)``, and
 - ``run(args) -> int``, which returns the exit code and raises DPError for what went wrong.
 
-Commands only call what a program could call. Exit codes, the same for all of them: 0 done; 1 it failed, with one line on
-stderr that names the thing and the remedy; 2 the arguments are wrong; 130 Ctrl-C; 143 SIGTERM.
+Commands only call what a program could call. Exit codes, the same for all of them: 0 done; 1 it failed; 2 the arguments are
+wrong, by their form or because what they ask for breaks a rule (ConfigurationError); 130 Ctrl-C; 143 SIGTERM. With 1 and 2
+one line on stderr names the thing and the remedy.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import sys
 from collections.abc import Sequence
 from types import FrameType
 
-from dpmaster.errors import DPError
+from dpmaster.errors import ConfigurationError, DPError
 
 # Every command, in the order of the help.
 COMMANDS: tuple[str, ...] = ("demo", "segment", "emulate", "decode")
@@ -52,16 +53,21 @@ def _terminate(signum: int, frame: FrameType | None) -> None:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code; wrong arguments leave by SystemExit(2), as argparse does it."""
     args = _parser().parse_args(argv)
-    before = signal.signal(signal.SIGTERM, _terminate)
+    # SIGINT too: a shell script starts what it puts behind `&` with it ignored, and "until SIGINT" would be never.
+    handlers = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: _terminate}
+    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
     try:
         code: int = args.run(args)
         sys.stdout.flush()
         return code
     except DPError as error:
         print(f"dpmaster {args.command}: {error}", file=sys.stderr)
-        return FAILED
-    except BrokenPipeError:
-        # The reader of our output left (`| head`). The interpreter must not try to flush it once more at its end.
+        return USAGE if isinstance(error, ConfigurationError) else FAILED
+    except OSError as error:
+        # Our output cannot be written: its reader left (`| head`), which needs no words, or its disk is full.
+        if not isinstance(error, BrokenPipeError):
+            print(f"dpmaster {args.command}: {error.strerror or error}", file=sys.stderr)
+        # The interpreter must not try to flush it once more at its end.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILED
     except Terminated:
@@ -69,4 +75,5 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return INTERRUPTED
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from dpmaster.emulator.host import Host
-from dpmaster.errors import ConfigurationError
+from dpmaster.errors import DPError
 
 LOOK = 0.2  # s between two looks whether a card failed or the port vanished
 
@@ -23,9 +23,9 @@ def link(path: Path, target: str) -> Iterator[None]:
             path.unlink()
         path.symlink_to(target)
     except FileExistsError:
-        raise ConfigurationError(f"--link {path}: it exists; remove it or name another") from None
+        raise DPError(f"--link {path}: it exists; remove it or name another") from None
     except OSError as error:
-        raise ConfigurationError(f"--link {path}: {error.strerror}; name a path that can be written") from None
+        raise DPError(f"--link {path}: {error.strerror}; name a path that can be written") from None
     try:
         yield
     finally:
@@ -40,7 +40,7 @@ def directory(path: Path) -> Iterator[None]:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ConfigurationError(f"--link {path}: {error.strerror}; name a directory that can be written") from None
+        raise DPError(f"--link {path}: {error.strerror}; name a directory that can be written") from None
     try:
         yield
     finally:
