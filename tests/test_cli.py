@@ -138,8 +138,10 @@ def test_python_dash_m_is_the_same_program() -> None:
     assert done.stdout.startswith("usage: dpmaster ")
 
 
-@pytest.mark.parametrize("argv", [["emulate", "si-p1", "--address", "0"], ["segment", "--ports", "0", "--link", "no-such-directory"],
-                                  ["segment", "--ports", "65", "--link", "no-such-directory"], ["decode", "zz"]])
+@pytest.mark.parametrize("argv", [
+    ["emulate", "si-p1", "--address", "0"], ["segment", "--ports", "0", "--link", "no-such-directory"],
+    ["segment", "--ports", "65", "--link", "no-such-directory"], ["decode", "zz"],
+])
 def test_arguments_that_break_a_rule_are_one_line_and_2(argv: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(argv) == 2
     out, err = capsys.readouterr()
@@ -149,8 +151,8 @@ def test_arguments_that_break_a_rule_are_one_line_and_2(argv: list[str], capsys:
 
 def test_output_that_cannot_be_written_is_one_line_and_1() -> None:
     with open("/dev/full", "w") as full:
-        done = subprocess.run([sys.executable, "-m", "dpmaster", "decode", "E5"], stdout=full, stderr=subprocess.PIPE, text=True,
-                              timeout=30)
+        done = subprocess.run([sys.executable, "-m", "dpmaster", "decode", "E5"], stdout=full, stderr=subprocess.PIPE,
+                              text=True, timeout=30)
     assert (done.returncode, done.stderr) == (1, "dpmaster decode: No space left on device\n")
 
 

@@ -266,6 +266,19 @@ def test_a_time_out_is_judged_only_by_silence():
     assert request.done and request.tries == 1 and request.status == lib.DPM_CONF_ANSWER
 
 
+def test_the_slot_of_a_wire_that_hands_over_whole_telegrams():
+    """A paced hub delivers a telegram when its last octet has ended: at 9600 bit/s the longest takes 292 ms, Tsl is 10 ms."""
+    master, script = stopped(9600, delivery=292 * MS)
+    request = master.request(8, lib.DPM_SRD_HIGH, b"", 60, 62)
+    first = script.next()
+    script.answer(DIAG, tsdr=100 + 250 * 9.6)  # its octets come at once, 250 ms behind their slot
+    assert request.done and request.tries == 1 and request.status == lib.DPM_CONF_ANSWER
+    request = master.request(8, lib.DPM_SRD_HIGH, b"", 60, 62)
+    first = script.next()
+    assert script.next() == first, "nothing came: it is repeated, on a right that has not ended meanwhile"
+    assert master.status.fdl.tokens_lost == 0
+
+
 # --- answers that do not belong ------------------------------------------------------------------------------------
 
 

@@ -34,6 +34,7 @@ from dpmaster import (
     StationState,
 )
 from dpmaster.emulator import Card, Exchange, Segment, SlaveState
+from dpmaster.emulator.cards import SIP1
 
 IDENT = 0x1234
 CONFIGURATION = b"\x33"  # 4 octets each way
@@ -589,3 +590,17 @@ def test_statistics_count_what_was_done(master: Master, running: Station) -> Non
     assert statistics.port.octets_in > 0
     with pytest.raises(ConfigurationError):
         master.add(Station(5, IDENT, CONFIGURATION))
+
+
+@pytest.mark.parametrize("known", [True, False], ids=["its own port", "a path"])
+def test_a_wire_paced_at_the_lowest_rate_carries_long_telegrams(known: bool) -> None:
+    """An answer of 41 octets takes 47 ms at 9600 bit/s and is handed over when it has ended; Tsl is 10 ms."""
+    with Segment(9600) as wire:
+        wire.attach(SIP1(address=5))
+        port = wire.port()
+        with Master(port if known else str(port), baudrate=9600) as master:
+            station = master.add(Station(5, SIP1.ident_number, bytes.fromhex("5F 6F"), watchdog=5.0))
+            master.operate(timeout=20.0)
+            for _ in range(3):
+                station.wait_sent(station.update(0, b"\0"), 5.0)
+            assert station.statistics.losses == 0

@@ -39,10 +39,11 @@ static bool holds_token(const dpm_station *st)
 
 static bool in_ring(uint8_t state) { return state >= DPM_FDL_ACTIVE_IDLE && state != DPM_FDL_CLAIM_TOKEN; }
 
-/* Alone on the bus, by choice or since nobody else is there: then a slot has room for a host that wakes late. */
+/* Alone on the bus, by choice or since nobody else is there: then a slot has room for a host that wakes late
+ * and for a wire that hands over whole telegrams. */
 static int64_t slot_of(const dpm_station *st)
 {
-    return st->tsl + (dpm_token_alone(st) ? st->config.traits.allowance : 0);
+    return st->tsl + (dpm_token_alone(st) ? st->config.traits.allowance + st->config.traits.delivery : 0);
 }
 
 static bool is_sdn(uint8_t function) { return function == DPM_SDN_LOW || function == DPM_SDN_HIGH; }
@@ -69,7 +70,10 @@ static void bus_busy(dpm_station *st, int64_t end, int64_t idle)
 }
 
 /* When silence has lasted for Tto. */
-static int64_t silence_ends(const dpm_station *st) { return st->last_activity + st->tto + st->config.traits.allowance; }
+static int64_t silence_ends(const dpm_station *st)
+{
+    return st->last_activity + st->tto + st->config.traits.allowance + st->config.traits.delivery;
+}
 
 /* The latest moment at which our right to talk still stands. In the ring the predecessor sends its token again when we
  * do not begin within its slot; later, and whenever we are alone, others may take the token for lost after Tto. */

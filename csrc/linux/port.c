@@ -38,9 +38,9 @@ enum {
 /* What the host may be late, by the kind of port. These are starting values for an idle desktop or a Raspberry Pi; a
  * program that has measured its own gives dpm_port_config.allowance. */
 static const dpm_port_traits profiles[] = {
-    [DPM_PROFILE_UART] = {INT64_C(2000000), INT64_C(2000000)},   /* receive FIFO time-out, flip buffer, wake-up */
-    [DPM_PROFILE_USB] = {INT64_C(20000000), INT64_C(18000000)},  /* 16 ms latency timer, 1 ms frames each way */
-    [DPM_PROFILE_PTY] = {INT64_C(10000000), INT64_C(5000000)},   /* wake-up of two processes under load */
+    [DPM_PROFILE_UART] = {INT64_C(2000000), INT64_C(2000000), 0},   /* receive FIFO time-out, flip buffer, wake-up */
+    [DPM_PROFILE_USB] = {INT64_C(20000000), INT64_C(18000000), 0}, /* 16 ms latency timer, 1 ms frames each way */
+    [DPM_PROFILE_PTY] = {INT64_C(10000000), INT64_C(5000000), 0},   /* wake-up of two processes under load */
 };
 
 /* Our last transmission, while its echo may come. */
@@ -184,6 +184,9 @@ static void set_kind(dpm_port *port, dev_t device)
     port->spacing = port->pty ? 0 : port->character;
     port->info.profile = profile;
     port->info.traits = profiles[profile];
+    /* A paced hub hands over a telegram when its last octet would have ended, so nothing of an answer is there sooner. */
+    if (port->pty && port->config.pace != DPM_PACE_NONE)
+        port->info.traits.delivery = DPM_TELEGRAM_MAX * port->character;
     if (port->config.allowance >= 0)
         port->info.traits.allowance = port->config.allowance;
     port->lag = profile == DPM_PROFILE_PTY ? 0 : port->info.traits.granularity;

@@ -71,6 +71,7 @@ struct dpm_machine {
 typedef struct dpm_port_traits {
     int64_t allowance;   /* ns the host, ours or the other one, may wake late: added to every slot time */
     int64_t granularity; /* ns of silence after which an unfinished telegram is given up */
+    int64_t delivery;    /* ns from a telegram's first octet until it is handed over, where that is done only when it is whole */
 } dpm_port_traits;
 
 #endif
