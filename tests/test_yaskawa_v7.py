@@ -494,3 +494,20 @@ def test_the_slave_is_not_in_exchange() -> None:
     with pytest.raises(DPTimeout):
         drive.read_parameter("n003", timeout=0.1)
     assert not drive.status.valid
+
+
+def test_whoever_waits_lets_the_last_command_arrive_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One thread has not yet seen the command answered when another begins to wait: it may not look at an older status."""
+    drive = bench()
+    drive.run_forward(10.0)
+    wait_sent, numbers = drive.wait_sent, []
+
+    def slow(number: int, timeout: float | None = 1.0) -> None:
+        numbers.append(number)
+        if len(numbers) == 1:  # the other thread, at this moment
+            assert drive.wait_until(lambda status: True, timeout=1.0).running
+        wait_sent(number, timeout)
+
+    monkeypatch.setattr(drive, "wait_sent", slow)
+    assert drive.wait_until(lambda status: True, timeout=1.0).running
+    assert len(numbers) == 2 and numbers[0] == numbers[1]

@@ -17,6 +17,7 @@ from dpmaster.errors import (
     CommissioningError,
     ConfigurationError,
     DPTimeout,
+    OutputsDiscarded,
     ParameterAccessError,
     StationError,
 )
@@ -429,15 +430,22 @@ class YaskawaV7(Station):
 
     def _settle(self, timeout: float) -> None:
         """See the last command answered, and note from when on the status is about it."""
-        number, self._pending = self._pending, None
+        number = self._pending
         if number is None:
             return
         try:
             self.wait_sent(number, timeout)
-        except DPTimeout:
-            self._pending = number
+        except OutputsDiscarded:
+            self._forget(number)
             raise
         self._settled = self.frame.time + SETTLE
+        self._forget(number)
+
+    def _forget(self, number: int) -> None:
+        """Nobody need wait for this command any more, which until now every thread had to; a later one stands."""
+        with self._commands:
+            if self._pending == number:
+                self._pending = None
 
     @property
     def wd_counter(self) -> int:
