@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import atexit
 import logging
+import math
 import threading
 import time
 import weakref
@@ -36,6 +37,7 @@ CONTROL_INTERVAL = 1 / 3  # s between repetitions of Global_Control: a third of 
 WATCHDOG_CYCLES = 10  # "ten predicted cycles with retries, at least 100 ms, at most 1 s"
 WATCHDOG_MIN, WATCHDOG_MAX = 0.1, 1.0
 REST_TIME = 1.0  # s for the stop words of all drives together, once no more are begun
+TOLD = 8  # stations whose reasons an error of operate() gives; of more only the addresses
 LEAVE_TIME = 1.0  # s for Clear, unlock and the last telegram
 
 
@@ -195,6 +197,8 @@ class Master:
                 try:
                     self._settle_watchdogs()
                     self._enter(station)
+                    if self.mode >= Mode.CLEAR:  # it is started at once, with no operate() to warn
+                        self._warn_of(station)
                 except BaseException:
                     del self._stations[station.address]
                     station._master = None
@@ -244,7 +248,7 @@ class Master:
             config.station.address = self.address
             config.slaves = self._room
             config.cycle_time = round((self.cycle_time or 0) * NS)
-            config.output_watchdog = round((self.output_watchdog or 0) * NS)
+            config.output_watchdog = math.ceil((self.output_watchdog or 0) * NS)  # 0 is off
             config.control_interval = round(CONTROL_INTERVAL * NS)
             self._listen()
             self._bus.start(config, self._room)
@@ -276,7 +280,8 @@ class Master:
         seconds = WATCHDOG_CYCLES * self._predicted_cycle()
         if seconds > WATCHDOG_MAX:
             raise ConfigurationError(f"ten predicted cycles take {seconds:.2f} s, more than the {WATCHDOG_MAX:g} s of the "
-                                     f"default watchdog: give each station its own, watchdog={seconds:.1f} or more")
+                                     f"default watchdog: give each station its own, watchdog={math.ceil(seconds * 10) / 10} "
+                                     "or more")
         return max(seconds, WATCHDOG_MIN)
 
     def _settle_watchdogs(self) -> None:
@@ -385,7 +390,11 @@ class Master:
 
     def _missing_error(self, missing: list[Station], timeout: float | None) -> DPError:
         refusing = [station for station in missing if station._refuses()]
-        lines = "; ".join(f"{station.name} (address {station.address}) {station.reason}" for station in missing)
+        named = refusing[:TOLD] + [station for station in missing if station not in refusing][:max(0, TOLD - len(refusing))]
+        lines = "; ".join(f"{station.name} (address {station.address}) {station.reason}" for station in named)
+        if len(named) < len(missing):
+            others = (str(station.address) for station in missing if station not in named)
+            lines += f"; and the stations at {', '.join(others)}"
         text = f"{len(missing)} of {len(self.stations)} stations not in Data_Exchange after {timeout} s: {lines}"
         foreign = self._status().foreign
         if foreign >= 0:
@@ -398,10 +407,14 @@ class Master:
         if self.output_watchdog is None:
             log.warning("the output watchdog is off: when this program hangs, drives run on with its last commit")
         for station in self.stations:
-            if station.active and station.watchdog is None:
-                log.warning("%s: its watchdog is off, its outputs stay when the master dies", station.name)
-            for text in station._before_operate():
-                log.warning("%s: %s", station.name, text)
+            self._warn_of(station)
+
+    @staticmethod
+    def _warn_of(station: Station) -> None:
+        if station.active and station.watchdog is None:
+            log.warning("%s: its watchdog is off, its outputs stay when the master dies", station.name)
+        for text in station._before_operate():
+            log.warning("%s: %s", station.name, text)
 
     # ---- waits, events, requests
 
@@ -531,7 +544,7 @@ def _answer(raw: Any) -> Answer:
 
 def _log_events(master: weakref.ref[Master], events: Events) -> None:
     """The thread "dpmaster-log". A station's trouble is told once, not with every try."""
-    told: dict[int, tuple[int, int]] = {}
+    told: dict[int, set[tuple[int, int]]] = {}
     for event in events:
         owner = master()
         station = None if owner is None or event.address is None else owner._stations.get(event.address)
@@ -543,12 +556,13 @@ def _log_events(master: weakref.ref[Master], events: Events) -> None:
         del station
 
 
-def _log_event(event: Event, station: Station | None, told: dict[int, tuple[int, int]]) -> None:
+def _log_event(event: Event, station: Station | None, told: dict[int, set[tuple[int, int]]]) -> None:
     who = station.name if station is not None else f"station {event.address}"
     match event.kind:
         case EventKind.FAULT if station is not None:
-            if told.get(station.address) != (event.a, event.b):
-                told[station.address] = (event.a, event.b)
+            before = told.setdefault(station.address, set())
+            if (event.a, event.b) not in before:
+                before.add((event.a, event.b))
                 log.warning("%s %s", who, why(event.a, event.b, ident_number=station.ident_number,
                                               configuration=station.configuration))
         case EventKind.STATE:

@@ -578,6 +578,31 @@ def test_the_log_tells_a_loss_once(wire: Segment, master: Master, running: Stati
     assert caplog.text.count("station 5 no longer answers") == 1
 
 
+def test_the_log_tells_two_troubles_that_take_turns_once_each(wire: Segment, master: Master, card: Echo,
+                                                              caplog: pytest.LogCaptureFixture) -> None:
+    """Set_Prm that is too long is answered by RS, and the diagnosis behind it says Prm_Fault, with every try."""
+    station = master.add(Station(5, IDENT, CONFIGURATION, b"12345"))
+    with pytest.raises(StationError):
+        master.operate(timeout=0.3)
+    assert station.statistics.refused >= 3
+    assert caplog.text.count("RS, service not activated") == 1 and caplog.text.count("Prm_Fault") == 1
+
+
+def test_an_error_names_a_few_of_many_missing_stations(wire: Segment, master: Master, card: Echo) -> None:
+    for address in range(2, 62):
+        master.add(Station(address, IDENT, CONFIGURATION if address != 5 else b"\x31"))
+    with pytest.raises(StationError, match=r"60 of 60 stations.*: station 5 .*Cfg_Fault.*; and the stations at 10, 11,.*, 61"
+                       ) as caught:
+        master.operate(timeout=1.0)
+    assert str(caught.value).count("(address ") == 8
+
+
+def test_a_station_added_while_the_bus_runs_is_warned_of_as_well(master: Master, running: Station,
+                                                                 caplog: pytest.LogCaptureFixture) -> None:
+    master.add(Station(6, IDENT, CONFIGURATION, name="free", watchdog=None))
+    assert "free: its watchdog is off" in caplog.text
+
+
 def test_statistics_count_what_was_done(master: Master, running: Station) -> None:
     for _ in range(3):
         master.wait_cycle()
