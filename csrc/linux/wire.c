@@ -6,7 +6,7 @@
 
 #include <string.h>
 
-#define MILLION 1000000u
+#include "core/chance.h"
 
 void dpm_wire_init(dpm_wire *wire, const dpm_parameters *rate, bool paced, dpm_lane *lane, uint16_t lanes)
 {
@@ -44,48 +44,33 @@ bool dpm_wire_room(const dpm_wire *wire, unsigned source)
     return wire->lane[source].count < DPM_WIRE_FLIGHTS;
 }
 
-/* SplitMix64: a Weyl sequence through a mixing function; any seed is a good one. */
-static uint64_t draw(uint64_t *state)
-{
-    uint64_t z = *state += 0x9E3779B97F4A7C15u;
-    z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9u;
-    z = (z ^ (z >> 27)) * 0x94D049BB133111EBu;
-    return z ^ (z >> 31);
-}
-
-/* The high half decides, the low octet is left for what to do. */
-static bool hit(uint64_t drawn, uint32_t per_million)
-{
-    return (drawn >> 32) * MILLION >> 32 < per_million;
-}
-
 size_t dpm_wire_damage(dpm_wire *wire, const uint8_t *octets, size_t n, uint8_t *out)
 {
     const dpm_segment_faults *faults = &wire->faults;
     size_t left = 0;
-    if (hit(draw(&wire->telegram_draws), faults->lose_telegram)) {
+    if (dpm_hit(dpm_draw(&wire->telegram_draws), faults->lose_telegram)) {
         wire->touched++;
         return 0;
     }
     for (size_t i = 0; i < n; i++) {
         /* Four draws for each octet, whatever they bring: the faults of one octet do not move those of the next. */
-        uint64_t insert = draw(&wire->octet_draws), lose = draw(&wire->octet_draws);
-        uint64_t flip = draw(&wire->octet_draws), duplicate = draw(&wire->octet_draws);
-        if (hit(insert, faults->insert)) {
+        uint64_t insert = dpm_draw(&wire->octet_draws), lose = dpm_draw(&wire->octet_draws);
+        uint64_t flip = dpm_draw(&wire->octet_draws), duplicate = dpm_draw(&wire->octet_draws);
+        if (dpm_hit(insert, faults->insert)) {
             out[left++] = (uint8_t)insert;
             wire->touched++;
         }
-        if (hit(lose, faults->lose)) {
+        if (dpm_hit(lose, faults->lose)) {
             wire->touched++;
             continue;
         }
         out[left] = octets[i];
-        if (hit(flip, faults->flip)) {
+        if (dpm_hit(flip, faults->flip)) {
             out[left] ^= (uint8_t)(1u << (flip & 7));
             wire->touched++;
         }
         left++;
-        if (hit(duplicate, faults->duplicate)) {
+        if (dpm_hit(duplicate, faults->duplicate)) {
             out[left] = out[left - 1];
             left++;
             wire->touched++;
