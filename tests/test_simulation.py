@@ -338,8 +338,14 @@ def test_a_claim_comes_after_tto(address):
 
 def test_a_request_needs_the_token():
     assert talk((0, 5000, DIAG))[0].rules_broken() == ["request without token"]
-    passed = [(0, 37, octets("DC 05 02")), (0, 250, DIAG)]
-    assert talk(*sequence(*passed))[0].rules_broken() == ["request without token"]
+    taken = [(0, 37, octets("DC 05 02")), (1, 37, octets("DC 07 05")), (0, 250, DIAG)]
+    assert talk(*sequence(*taken))[0].rules_broken() == ["request without token"]
+
+
+def test_a_pass_that_nobody_took_leaves_the_token_with_the_passer():
+    passed = octets("DC 05 02")
+    assert talk(*sequence((0, 37, passed), (0, 200, passed), (0, 200, passed), (0, 200, DIAG)))[0].rules_broken() == []
+    assert talk(*sequence((0, 37, passed), (0, 199, DIAG)))[0].rules_broken() == ["slot"]
 
 
 def hold(*texts: bytes, held: int) -> list[str]:
@@ -526,6 +532,19 @@ def test_a_transmission_breaks_off_with_its_power():
     cut = simulation.tap()[0]
     assert cut.flags & lib.DPM_TAP_CUT and cut.wire_end == (100 + 5 * 11 + 3) * BIT < cut.end
     assert "collision" not in simulation.rules_broken()
+
+
+@pytest.mark.parametrize(("silence", "broken"), [(TTO_2, []), (TTO_2 - 1, ["two tokens"])])
+def test_silence_after_a_break_counts_from_the_last_whole_octet(silence, broken):
+    """What nobody heard the end of cannot begin anybody's Tto."""
+    talkers = Talker(), Talker()
+    simulation = Simulation(default_parameters(), *talkers)
+    talkers[1].say(TTO_2 * BIT, CLAIM)
+    simulation.run((TTO_2 + 2 * 11 + 5) * BIT)
+    simulation.power(1, False)
+    talkers[0].say((TTO_2 + 2 * 11 + silence) * BIT, CLAIM)
+    simulation.run(100 * MS, violation=False)
+    assert simulation.rules_broken() == broken
 
 
 def test_power_on_inside_a_telegram_hears_the_octets_that_begin():

@@ -155,8 +155,9 @@ static bool claims(const dpm_simulation *sim, const dpm_sim_side *side, const dp
     return t->da == t->sa && silence(sim, side, t) >= sim->limits.tto[t->sa];
 }
 
-/* A pass may be repeated, also to another station, until its receiver has used it. */
-static bool may_pass(const dpm_sim_side *side, const dpm_transmission *t)
+/* A pass that its receiver did not use leaves the token with the passer, which may repeat it, pass it to another or
+ * go on itself; that it waits for Tsl first is the rule "slot". */
+static bool has_token(const dpm_sim_side *side, const dpm_transmission *t)
 {
     return side->holder == t->sa || (side->passer == t->sa && !side->taken);
 }
@@ -188,7 +189,7 @@ static void judge_token(dpm_simulation *sim, dpm_sim_side *side, const dpm_trans
         for (int i = 0; i < 128; i++) /* the ring begins anew, and with it TRR */
             dpm_sim_forget(sim, i);
         side->holder = side->passer = -1;
-    } else if (!may_pass(side, t)) {
+    } else if (!has_token(side, t)) {
         dpm_sim_breached(sim, t, DPM_RULE_TOKENS, silence(sim, side, t), sim->limits.tto[t->sa]);
     } else if (side->holder == t->sa && !side->taken) {
         take(sim, side);
@@ -216,11 +217,11 @@ static void judge_hold(dpm_simulation *sim, const dpm_sim_side *side, const dpm_
 
 static void judge_request(dpm_simulation *sim, dpm_sim_side *side, const dpm_transmission *t, uint8_t fc)
 {
-    if (side->holder != t->sa) {
+    if (!has_token(side, t)) {
         put_breach(sim, t, DPM_RULE_RIGHT, side->holder, t->sa);
         return;
     }
-    if (!side->taken)
+    if (side->holder == t->sa && !side->taken)
         take(sim, side);
     judge_hold(sim, side, t, fc);
 }

@@ -332,8 +332,9 @@ void dpm_sim_break_off(dpm_simulation *sim, int port)
             continue;
         dpm_sim_disregard(sim, &c->t);
         side->busy_to = side->busy_to == c->t.wire_end ? sim->now : side->busy_to;
-        side->quiet_from = side->quiet_from == c->t.end ? sim->now : side->quiet_from;
         c->slots = (uint16_t)dpm_sim_ended(sim, c, sim->now);
+        if (side->quiet_from == (c->t.end < c->t.wire_end ? c->t.end : c->t.wire_end))
+            side->quiet_from = c->t.start + sim->length[c->slots]; /* of half a character nobody knows */
         c->t.flags |= DPM_TAP_CUT;
         c->t.wire_end = sim->now;
     }
