@@ -534,16 +534,36 @@ def test_a_transmission_breaks_off_with_its_power():
     assert "collision" not in simulation.rules_broken()
 
 
-@pytest.mark.parametrize(("silence", "broken"), [(TTO_2, []), (TTO_2 - 1, ["two tokens"])])
-def test_silence_after_a_break_counts_from_the_last_whole_octet(silence, broken):
-    """What nobody heard the end of cannot begin anybody's Tto."""
+@pytest.mark.parametrize(("octets_heard", "from_"), [(2, 2 * 11), (1, 11), (0, -37)])
+@pytest.mark.parametrize(("silence", "broken"), [(12 * 200, []), (12 * 200 - 1, ["two tokens"])])
+def test_silence_after_a_break_counts_from_the_last_octet_heard(octets_heard, from_, silence, broken):
+    """A character that never ended begins nobody's Tto."""
     talkers = Talker(), Talker()
     simulation = Simulation(default_parameters(), *talkers)
+    second = TTO_2 + 33 + 37
     talkers[1].say(TTO_2 * BIT, CLAIM)
-    simulation.run((TTO_2 + 2 * 11 + 5) * BIT)
+    talkers[1].say(second * BIT, CLAIM)
+    simulation.run(until=(second + octets_heard * 11 + 5) * BIT)
     simulation.power(1, False)
-    talkers[0].say((TTO_2 + 2 * 11 + silence) * BIT, CLAIM)
+    talkers[0].say((second + from_ + silence) * BIT, octets("DC 03 03"))
     simulation.run(100 * MS, violation=False)
+    assert simulation.rules_broken() == broken
+
+
+@pytest.mark.parametrize(("octets_heard", "broken"), [(0, []), (1, ["two tokens"])])
+def test_who_took_a_token_and_broke_off_unheard_did_not_take_it(octets_heard, broken):
+    """The passer repeats after Tsl: it cannot know of a character that never ended."""
+    talkers = Talker(), Talker()
+    simulation = Simulation(default_parameters(), *talkers)
+    passed = octets("DC 05 02")
+    *lines, (_, at, _) = sequence((0, 37, passed), (1, 150, octets("DC 07 05")))
+    for port, time, text in lines:
+        talkers[port].say(round(time) * BIT, text)
+    talkers[0].say(round(at + 50) * BIT, passed)
+    talkers[1].say(round(at) * BIT, octets("DC 07 05"))
+    simulation.run(until=round(at + 5 + 11 * octets_heard) * BIT)
+    simulation.power(1, False)
+    simulation.run(10 * MS, violation=False)
     assert simulation.rules_broken() == broken
 
 

@@ -37,10 +37,17 @@ typedef struct dpm_sim_port {
     int64_t tx_end;
 } dpm_sim_port;
 
+typedef struct dpm_sim_token {
+    int16_t holder; /* who it was passed to, -1 */
+    int16_t passer; /* may repeat the pass until `taken` */
+    bool taken;
+} dpm_sim_token;
+
 /* What an onlooker knows of one piece of wire. */
 typedef struct dpm_sim_side {
     int64_t busy_to;     /* the wire is occupied until then; -1: nothing was ever heard */
     int64_t quiet_from;  /* the earliest that anybody may take for the end of the last octet */
+    int64_t quiet_before; /* that without the last transmission */
     int64_t busy_since;  /* the first octet behind the last 33 Tbit of idle */
     bool babbled;
     /* the last transmission of a station */
@@ -55,9 +62,8 @@ typedef struct dpm_sim_side {
     int16_t asker, asked;
     int64_t asked_earliest, asked_latest;
     /* the token */
-    int16_t holder;      /* who it was passed to, -1 */
-    int16_t passer;      /* may repeat the pass until `taken` */
-    bool taken;
+    dpm_sim_token token;
+    dpm_sim_token token_before; /* the last transmission */
     int64_t token_end;
     int64_t hold_until;  /* Ttr after the holder's token before */
     int64_t before;      /* that token's end, -1 */
@@ -146,8 +152,9 @@ uint8_t dpm_sim_classify(dpm_transmission *t);
 /* A transmission begins now: judge it by what is known of its side, then remember it. What faults and overlaps made
  * of it is known by then. */
 void dpm_sim_watch(dpm_simulation *sim, const dpm_carried *carried, uint8_t fc);
-/* It is not what was meant any more: it broke off, or was garbled by one that began later. */
-void dpm_sim_disregard(dpm_simulation *sim, const dpm_transmission *t);
+/* It is not what was meant any more: it was garbled by one that began later, or broke off, before any octet was heard
+ * perhaps: then nobody can know of it. */
+void dpm_sim_disregard(dpm_simulation *sim, const dpm_transmission *t, bool unheard);
 /* A rule about times in ns was broken. */
 void dpm_sim_breached(dpm_simulation *sim, const dpm_transmission *t, int rule, int64_t value, int64_t limit);
 /* The station is out of the ring: its next rotation is not measured from its last token. */

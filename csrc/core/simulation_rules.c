@@ -35,7 +35,7 @@ void dpm_sim_rules_init(dpm_simulation *sim)
     for (unsigned i = 0; i <= DPM_ADDRESS_MAX; i++)
         sim->limits.tto[i] = dpm_bits_down(p, dpm_tto(p, (uint8_t)i));
     for (unsigned i = 0; i < DPM_SIMULATION_SIDES; i++)
-        sim->side[i] = (dpm_sim_side){.busy_to = -1, .last_port = -1, .holder = -1, .passer = -1, .before = -1};
+        sim->side[i] = (dpm_sim_side){.busy_to = -1, .last_port = -1, .token = {-1, -1, false}, .before = -1};
     for (int i = 0; i < 128; i++)
         dpm_sim_forget(sim, i);
 }
@@ -136,7 +136,7 @@ static void judge_idle(dpm_simulation *sim, const dpm_sim_side *side, const dpm_
         rule = DPM_RULE_TID1;
         limit = limits->tid1;
     }
-    if (since < limit)
+    if (limit && since < limit)
         dpm_sim_breached(sim, t, rule, since, limit);
 }
 
@@ -159,15 +159,15 @@ static bool claims(const dpm_simulation *sim, const dpm_sim_side *side, const dp
  * go on itself; that it waits for Tsl first is the rule "slot". */
 static bool has_token(const dpm_sim_side *side, const dpm_transmission *t)
 {
-    return side->holder == t->sa || (side->passer == t->sa && !side->taken);
+    return side->token.holder == t->sa || (side->token.passer == t->sa && !side->token.taken);
 }
 
 /* The holder's first telegram shows that it took the token: TRR ends where that token ended. */
 static void take(dpm_simulation *sim, dpm_sim_side *side)
 {
-    dpm_sim_share *station = &sim->share[side->holder];
+    dpm_sim_share *station = &sim->share[side->token.holder];
     dpm_simulation_share *share = &station->share;
-    side->taken = true;
+    side->token.taken = true;
     side->cycled = false;
     side->before = station->last;
     side->hold_until = DPM_NEVER;
@@ -188,10 +188,10 @@ static void judge_token(dpm_simulation *sim, dpm_sim_side *side, const dpm_trans
     if (claims(sim, side, t)) {
         for (int i = 0; i < 128; i++) /* the ring begins anew, and with it TRR */
             dpm_sim_forget(sim, i);
-        side->holder = side->passer = -1;
+        side->token.holder = side->token.passer = -1;
     } else if (!has_token(side, t)) {
         dpm_sim_breached(sim, t, DPM_RULE_TOKENS, silence(sim, side, t), sim->limits.tto[t->sa]);
-    } else if (side->holder == t->sa && !side->taken) {
+    } else if (side->token.holder == t->sa && !side->token.taken) {
         take(sim, side);
     }
 }
@@ -218,10 +218,10 @@ static void judge_hold(dpm_simulation *sim, const dpm_sim_side *side, const dpm_
 static void judge_request(dpm_simulation *sim, dpm_sim_side *side, const dpm_transmission *t, uint8_t fc)
 {
     if (!has_token(side, t)) {
-        put_breach(sim, t, DPM_RULE_RIGHT, side->holder, t->sa);
+        put_breach(sim, t, DPM_RULE_RIGHT, side->token.holder, t->sa);
         return;
     }
-    if (side->holder == t->sa && !side->taken)
+    if (side->token.holder == t->sa && !side->token.taken)
         take(sim, side);
     judge_hold(sim, side, t, fc);
 }
@@ -257,7 +257,8 @@ static void occupy(dpm_simulation *sim, dpm_sim_side *side, const dpm_carried *c
         side->busy_since = t->start;
         side->babbled = false;
     }
-    side->quiet_from = later(side->busy_to < 0 ? 0 : side->quiet_from, earlier(t->end, t->wire_end));
+    side->quiet_before = side->quiet_from;
+    side->quiet_from = later(side->quiet_from, earlier(t->end, t->wire_end));
     side->busy_to = later(side->busy_to, t->wire_end);
     if (!side->babbled && t->port >= 0 && t->wire_end - side->busy_since > sim->limits.tsyni) {
         side->babbled = true;
@@ -278,9 +279,9 @@ static void remember_token(dpm_simulation *sim, dpm_sim_side *side, const dpm_tr
 {
     sim->statistics.tokens++;
     side->pending = false;
-    side->holder = t->da;
-    side->passer = t->sa;
-    side->taken = false;
+    side->token.holder = t->da;
+    side->token.passer = t->sa;
+    side->token.taken = false;
     side->token_end = t->end;
 }
 
@@ -318,11 +319,14 @@ static void remember(dpm_simulation *sim, dpm_sim_side *side, const dpm_transmis
     side->last_end = lost ? t->end : earlier(t->end, t->wire_end);
 }
 
-void dpm_sim_disregard(dpm_simulation *sim, const dpm_transmission *t)
+void dpm_sim_disregard(dpm_simulation *sim, const dpm_transmission *t, bool unheard)
 {
     dpm_sim_side *side = &sim->side[t->side];
-    if (side->last_number == t->number)
-        side->last = DPM_TRAFFIC_OTHER;
+    if (side->last_number != t->number)
+        return;
+    side->last = DPM_TRAFFIC_OTHER;
+    if (unheard)
+        side->token = side->token_before;
 }
 
 /* --- the whole ---------------------------------------------------------------------------------------------------- */
@@ -356,6 +360,7 @@ void dpm_sim_watch(dpm_simulation *sim, const dpm_carried *carried, uint8_t fc)
     const dpm_transmission *t = &carried->t;
     dpm_sim_side *side = &sim->side[t->side];
     if (!(t->flags & DPM_TAP_INJECTED)) {
+        side->token_before = side->token;
         judge(sim, side, t, fc);
         remember(sim, side, t, fc);
     } else {

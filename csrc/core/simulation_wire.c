@@ -270,7 +270,7 @@ static void collide(dpm_simulation *sim, dpm_carried *b)
         garble_overlap(sim, a, b);
         a->t.flags |= DPM_TAP_COLLIDED;
         others |= !(a->t.flags & DPM_TAP_INJECTED);
-        dpm_sim_disregard(sim, &a->t);
+        dpm_sim_disregard(sim, &a->t, false);
     }
     for (unsigned i = 0; i < b->slots && b->t.start + sim->length[i] < busy_to; i++)
         b->mark[i] = DPM_SIM_EMPTY;
@@ -330,11 +330,12 @@ void dpm_sim_break_off(dpm_simulation *sim, int port)
             return;
         if (c->t.port != port || c->t.wire_end <= sim->now || (c->t.flags & (DPM_TAP_LOST | DPM_TAP_INJECTED)))
             continue;
-        dpm_sim_disregard(sim, &c->t);
-        side->busy_to = side->busy_to == c->t.wire_end ? sim->now : side->busy_to;
+        if (side->busy_to == c->t.wire_end)
+            side->busy_to = sim->now;
         c->slots = (uint16_t)dpm_sim_ended(sim, c, sim->now);
-        if (side->quiet_from == (c->t.end < c->t.wire_end ? c->t.end : c->t.wire_end))
-            side->quiet_from = c->t.start + sim->length[c->slots]; /* of half a character nobody knows */
+        if (side->quiet_from == (c->t.end < c->t.wire_end ? c->t.end : c->t.wire_end)) /* of half a character nobody knows */
+            side->quiet_from = c->slots ? c->t.start + sim->length[c->slots] : side->quiet_before;
+        dpm_sim_disregard(sim, &c->t, c->slots == 0);
         c->t.flags |= DPM_TAP_CUT;
         c->t.wire_end = sim->now;
     }
