@@ -8,6 +8,7 @@ Nothing here is timed by Python: the C thread keeps the bus, and takes the outpu
 from __future__ import annotations
 
 import atexit
+import functools
 import logging
 import math
 import threading
@@ -26,6 +27,7 @@ from dpmaster.errors import ConfigurationError, DPError, DPTimeout, NotOperating
 from dpmaster.events import Event, EventKind, Events
 from dpmaster.parameters import BusParameters
 from dpmaster.station import Station
+from dpmaster.timing import Slave, cycle, default_watchdog, tsl_needed
 
 __all__ = ["Answer", "Master", "MasterStatistics", "Mode", "Service"]
 
@@ -34,8 +36,6 @@ S = TypeVar("S", bound=Station)
 log = logging.getLogger(__name__)
 
 CONTROL_INTERVAL = 1 / 3  # s between repetitions of Global_Control: a third of a Data_Control_Time of 1 s
-WATCHDOG_CYCLES = 10  # "ten predicted cycles with retries, at least 100 ms, at most 1 s"
-WATCHDOG_MIN, WATCHDOG_MAX = 0.1, 1.0
 REST_TIME = 1.0  # s for the stop words of all drives together, once no more are begun
 TOLD = 8  # stations whose reasons an error of operate() gives; of more only the addresses
 LEAVE_TIME = 1.0  # s for Clear, unlock and the last telegram
@@ -224,14 +224,16 @@ class Master:
 
     def _fitting(self, station: Station) -> BusParameters:
         """Parameters with Tsl for this station too: "Tsl = max(table, largest MaxTsdr on the bus + 15)"."""
-        rate = self._parameters.rate  # 45450, 45454 and 500000/11 are one rate
-        slowest = max((bits for nominal, bits in station.max_tsdr.items() if abs(nominal / rate - 1) < 0.01), default=0)
-        if slowest + 15 <= self._parameters.tsl:
+        rate = self._parameters.rate
+        slowest = Slave.of(station).tsdr(rate) or 0
+        needed = tsl_needed(self._parameters, slowest)
+        fixed = self._given is not None or self._bus.master is not None
+        if needed <= self._parameters.tsl and (fixed or slowest <= self._parameters.max_tsdr):
             return self._parameters
-        if self._given is not None or self._bus.master is not None:
+        if fixed:
             began = "given:" if self._given is not None else "of a bus that has begun: add it before that, or"
             raise ConfigurationError(
-                f"{station.name} needs Tsl {slowest + 15} (its MaxTsdr {slowest} + 15), and Tsl is {self._parameters.tsl} in "
+                f"{station.name} needs Tsl {needed} (its MaxTsdr {slowest} + 15), and Tsl is {self._parameters.tsl} in "
                 f"the parameters {began} pass parameters= with a larger Tsl")
         return self._choose(slowest)
 
@@ -266,29 +268,17 @@ class Master:
 
     # ---- watchdogs
 
-    def _predicted_cycle(self) -> float:
-        """s of a whole cycle in which one station is repeated to the limit and the host wakes late once."""
-        parameters = self._parameters
-        active = [station for station in self.stations if station.active]
-        seconds = parameters.predict_cycle([(s.output_length, s.input_length) for s in active]) + self._bus.allowance
-        failure = parameters.predict_failure(max((s.output_length for s in active), default=0))
-        seconds += parameters.seconds(parameters.max_retry_limit * failure)
-        pause = max((s.min_slave_interval * 1e-4 for s in active), default=0.0)
-        return max(seconds, pause, self.cycle_time or 0.0)
-
     def _default_watchdog(self) -> float:
-        seconds = WATCHDOG_CYCLES * self._predicted_cycle()
-        if seconds > WATCHDOG_MAX:
-            raise ConfigurationError(f"ten predicted cycles take {seconds:.2f} s, more than the {WATCHDOG_MAX:g} s of the "
-                                     f"default watchdog: give each station its own, watchdog={math.ceil(seconds * 10) / 10} "
-                                     "or more")
-        return max(seconds, WATCHDOG_MIN)
+        slaves = [Slave.of(station) for station in self.stations if station.active]
+        return default_watchdog(cycle(self._parameters, slaves, allowance=self._bus.allowance, cycle_time=self.cycle_time,
+                                      usual=self._choose(0).max_tsdr))
 
     def _settle_watchdogs(self) -> None:
         """Ten cycles of the stations there are now; what changed goes out with a station's next Set_Prm."""
         with self._lock:
+            default = functools.cache(self._default_watchdog)
             for station in self._stations.values():
-                if station._watch(self._default_watchdog) and station._index is not None:
+                if station._watch(default) and station._index is not None:
                     self._bus.change(station._index, station._settings())
 
     def feed(self) -> None:

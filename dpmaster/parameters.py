@@ -7,7 +7,6 @@ are done by the C library (csrc/core/parameters.c); this file gives them names a
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from fractions import Fraction
 from typing import Any
@@ -147,19 +146,10 @@ class BusParameters:
         """Data_Exchange request with so many octets (0..244) that nobody answers, Tbit."""
         return int(lib.dpm_predict_failure(self.to_c(), outputs))
 
-    def predict_cycle(self, stations: Iterable[tuple[int, int]], allowance: float = 0.0, *, retries: bool = False) -> float:
-        """Longest bus cycle to expect, seconds, with stations of (outputs, inputs) octets.
+    def predict_token(self) -> int:
+        """The token to oneself, idle time included, Tbit."""
+        return int(lib.dpm_predict_token(self.to_c()))
 
-        Every station answers at max Tsdr; the token, a Global_Control and a GAP poll that nobody answers are in it. With
-        `retries` every station answers the last repetition only. `allowance`, seconds, is what the host adds to each telegram
-        that is awaited. Acyclic requests and diagnosis come on top.
-        """
-        c = self.to_c()
-        # GAP poll: FDL status request and nobody there, "66 + TSL"; at most one per token receipt.
-        bits = lib.dpm_predict_token(c) + lib.dpm_predict_global_control(c) + 6 * lib.DPM_CHARACTER_BITS + self.tsl
-        awaited = 1
-        for outputs, inputs in stations:
-            failures = self.max_retry_limit if retries else 0
-            bits += lib.dpm_predict_exchange(c, outputs, inputs) + failures * lib.dpm_predict_failure(c, outputs)
-            awaited += 1 + failures
-        return self.seconds(bits) + awaited * allowance
+    def predict_global_control(self) -> int:
+        """One Global_Control, idle time included, Tbit."""
+        return int(lib.dpm_predict_global_control(self.to_c()))

@@ -240,18 +240,12 @@ def test_a_set_that_does_not_exist_is_refused(baudrate: Any, max_tsdr: Any, word
         assert word in str(caught.value)
 
 
-def test_predicted_cycle() -> None:
-    """Protocol page D.3: T_cycle = sum(T_DX) + T_token + T_gap + T_GC, with "T_gap = 66 + TSL (nobody there)"."""
+def test_predicted_times_by_name() -> None:
     ours = BusParameters.default(500000)
-    rest = (33 + 37) + (143 + 100) + (66 + 200)
-    one = 11 * (9 + 6 + 9 + 6) + 100 + 37
-    assert ours.predict_exchange(6, 6) == one
+    assert ours.predict_exchange(6, 6) == 11 * (9 + 6 + 9 + 6) + 100 + 37
     assert ours.predict_failure(6) == 11 * 15 + 200
-    assert ours.predict_cycle([]) == pytest.approx(rest / 500000)
-    assert ours.predict_cycle([(6, 6)] * 3) == pytest.approx((rest + 3 * one) / 500000)
-    assert ours.predict_cycle([(6, 6)] * 3, allowance=1e-3) == pytest.approx((rest + 3 * one) / 500000 + 4e-3)
-    retried = (rest + one + 11 * 15 + 200) / 500000 + 3e-3
-    assert ours.predict_cycle(iter([(6, 6)]), 1e-3, retries=True) == pytest.approx(retried)
+    assert ours.predict_token() == 33 + 37
+    assert ours.predict_global_control() == 143 + 100
 
 
 @pytest.mark.parametrize("rate", BAUDRATES)

@@ -10,6 +10,7 @@
 #define HSA 126
 /* One GAP round polls every other address, 66 Tbit and a slot each; a round in G * Ttr may take this part of the bus. */
 #define GAP_SHARE 50
+#define G_MAX 100
 /* "User profile: TTR >= 5000 HSA"; room for 125 slaves with some 170 octets of inputs and outputs each at any rate. */
 #define TTR (5000 * HSA)
 #define TSL_MARGIN 15 /* Tsl1 = max Tsdr + 11 + Tsm, and Tsm is 4 where Tset is 1: the engineering tools' rule */
@@ -42,6 +43,13 @@ uint32_t dpm_parameters_rate(unsigned index)
     return index < PROFILES ? profiles[index].rate : 0;
 }
 
+uint8_t dpm_parameters_g(const dpm_parameters *parameters)
+{
+    uint32_t round = parameters->hsa * (66 + (uint32_t)parameters->tsl);
+    uint32_t g = parameters->ttr ? round * GAP_SHARE / parameters->ttr + 1 : G_MAX;
+    return (uint8_t)(g < G_MAX ? g : G_MAX);
+}
+
 int dpm_parameters_default(dpm_parameters *parameters, uint32_t rate, uint16_t max_tsdr)
 {
     if (rate == 45454 || rate == 45455)
@@ -55,7 +63,6 @@ int dpm_parameters_default(dpm_parameters *parameters, uint32_t rate, uint16_t m
     /* May wrap only for a MaxTsdr far beyond 1023, which dpm_parameters_check refuses by its name, before Tsl. */
     uint16_t tsl = (uint16_t)(slowest + TSL_MARGIN);
     tsl = tsl > p->tsl ? tsl : p->tsl;
-    uint32_t round = HSA * (66 + (uint32_t)tsl);
     *parameters = (dpm_parameters){
         .rate_num = p->rate_num,
         .rate_den = p->rate_den,
@@ -65,10 +72,10 @@ int dpm_parameters_default(dpm_parameters *parameters, uint32_t rate, uint16_t m
         .tqui = p->tqui,
         .tset = p->tset,
         .ttr = TTR,
-        .g = (uint8_t)(round * GAP_SHARE / TTR + 1),
         .hsa = HSA,
         .max_retry_limit = p->max_retry_limit,
     };
+    parameters->g = dpm_parameters_g(parameters);
     return DPM_OK;
 }
 

@@ -173,6 +173,14 @@ static void close_fd(dpm_port *port)
     port->fd = -1;
 }
 
+int dpm_profile_traits(int profile, dpm_port_traits *traits)
+{
+    if (profile <= DPM_PROFILE_AUTO || profile > DPM_PROFILE_PTY || !traits)
+        return DPM_E_ARGUMENT;
+    *traits = profiles[profile];
+    return DPM_OK;
+}
+
 /* What follows from the kind of port. */
 static void set_kind(dpm_port *port, dev_t device)
 {

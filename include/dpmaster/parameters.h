@@ -42,6 +42,9 @@ DPM_API int dpm_parameters_default(dpm_parameters *parameters, uint32_t rate, ui
 /* 0, or DPM_E_PARAMETER with the first rule that is broken. `address` is the own station's. */
 DPM_API int dpm_parameters_check(const dpm_parameters *parameters, uint8_t address, dpm_refusal *refusal);
 
+/* The least G, up to 100, with which the polls of a GAP round, one in G * Ttr, take no more than 2 % of the bus. */
+DPM_API uint8_t dpm_parameters_g(const dpm_parameters *parameters);
+
 /* Nominal rates in ascending order; returns 0 past the last. */
 DPM_API uint32_t dpm_parameters_rate(unsigned index);
 

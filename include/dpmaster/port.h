@@ -50,6 +50,9 @@ typedef struct dpm_port_info {
 
 typedef struct dpm_port dpm_port;
 
+/* What a kind of port is reckoned to need, before one is opened. DPM_E_ARGUMENT for AUTO, which is no kind. */
+DPM_API int dpm_profile_traits(int profile, dpm_port_traits *traits);
+
 DPM_API size_t dpm_port_size(void);
 /* 0, or DPM_E_NO_PORT, DPM_E_PERMISSION, DPM_E_IN_USE, DPM_E_NOT_TTY, DPM_E_SETTINGS, DPM_E_SYSTEM, DPM_E_BLOCK. */
 DPM_API int dpm_port_open(void *block, size_t size, const dpm_port_config *config, dpm_port **port);
