@@ -672,6 +672,26 @@ def test_offline_is_silent_from_the_last_answer_on():
     assert bus.master.status.fdl_state == lib.DPM_FDL_OFFLINE
 
 
+@pytest.mark.parametrize("steps", range(6))
+def test_leaving_unlocks_whatever_answer_is_under_way(steps):
+    """Set_Prm locks a slave to us from the moment it is sent; an answer to the way in must not skip the way out."""
+    bus = Bus(configuration="10")
+    inputs = frame(0x08, b"\x55")
+    answers = (FREE, SC, SC, READY, inputs, inputs)
+    for answer in answers[:steps]:
+        bus.next()
+        bus.script.answer(answer)
+    bus.next()
+    bus.master.mode(lib.DPM_MODE_STOP, bus.script.now)
+    bus.script.answer(answers[steps])
+    assert not bus.master.inputs(0).valid
+    if steps:
+        assert bus.next()[7:-2] == octets("3D 3E 40 01 01 00 0A 35 00")
+        bus.script.answer(SC)
+    assert bus.script.next(limit=20 * MS) in (b"", CLEAR)
+    assert bus.master.status.mode == lib.DPM_MODE_STOP and bus.state == lib.DPM_ST_OFFLINE
+
+
 def test_leaving_does_not_wait_for_a_station_that_is_gone():
     bus = Bus()
     bus.start()

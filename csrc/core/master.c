@@ -337,6 +337,7 @@ static void leave(dpm_master *m, uint8_t target, int64_t now)
     const int fdl = dpm_station_state(&m->station);
     m->target = target;
     m->leaving = true;
+    m->current = NULL; /* what is under way was asked on the way in: its answer changes no state any more */
     for (unsigned i = 0; i < m->n_slaves; i++)
         dpm_slave_leave(m, &m->slaves[i], now, fdl >= DPM_FDL_ACTIVE_IDLE && m->mode >= DPM_MODE_CLEAR);
     m->control_due = true;
