@@ -583,6 +583,47 @@ def test_what_was_written_before_leaving_operate_is_never_sent_again():
     assert bus.exchange()[7:9] == b"\0\0"
 
 
+@pytest.mark.parametrize("mode", [lib.DPM_MODE_CLEAR, lib.DPM_MODE_STOP, lib.DPM_MODE_OFFLINE])
+def test_a_repetition_does_not_outlive_operate(mode):
+    """Neither the repetition of a telegram under way carries what was written before leaving Operate."""
+    bus = Bus()
+    bus.start()
+    bus.master.mode(lib.DPM_MODE_OPERATE, bus.script.now)
+    bus.master.commit(0, b"\x11\x11", bus.script.now)
+    bus.exchange()
+    assert bus.next()[7:9] == b"\x11\x11"
+    bus.master.mode(mode, bus.script.now)
+    telegram = bus.next()
+    assert telegram[7:9] == (b"\0\0" if mode == lib.DPM_MODE_CLEAR else b"\x3d\x3e")
+    assert telegram[6] == 0x6D, "whether the slave took it is unknown: first contact again"
+    assert mode != lib.DPM_MODE_CLEAR or bus.state == lib.DPM_ST_DATA, "one lost answer loses no slave"
+
+
+def test_an_answer_to_withdrawn_outputs_still_counts():
+    bus = Bus()
+    bus.start()
+    bus.master.mode(lib.DPM_MODE_OPERATE, bus.script.now)
+    bus.master.commit(0, b"\x11\x11", bus.script.now)
+    bus.exchange()
+    last = bus.next()[6]
+    bus.master.mode(lib.DPM_MODE_CLEAR, bus.script.now)
+    bus.script.answer(SC)
+    assert bus.next()[6:9] == bytes([last ^ 0x20, 0, 0])
+
+
+def test_the_output_watchdog_stops_a_repetition():
+    """Design, invariant 3: "what was written before is never sent again"; here it runs out in the slot of a lost answer."""
+    bus = Bus(output_watchdog=1 * S, allowance=2 * MS)
+    bus.start()
+    bus.master.mode(lib.DPM_MODE_OPERATE, bus.script.now)
+    bus.master.commit(0, b"\x11\x11", bus.script.now)
+    bus.exchange()
+    lib.dpm_master_feed(bus.master.master, bus.script.now - 999 * MS, lib.DPM_FED_PROGRAM)
+    assert bus.next()[7:9] == b"\x11\x11"
+    assert bus.next()[7:9] == b"\0\0"
+    assert bus.master.status.latched
+
+
 def test_the_output_watchdog_makes_everything_safe_and_latches():
     """Design, invariant 3: a program that hangs while the C thread lives."""
     bus = Bus(output_watchdog=1 * S)

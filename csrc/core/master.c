@@ -27,8 +27,11 @@ static void put_event(dpm_master *m, int64_t now, uint16_t kind, int32_t a, int3
 
 /* --- outputs and the watchdog over the program ------------------------------------------------------------------ */
 
-static void make_outputs_safe(dpm_master *m, bool latch)
+/* "What was written before is never sent again": not as the repetition of a telegram under way either. */
+static void make_outputs_safe(dpm_master *m, bool latch, int64_t now)
 {
+    if (m->current && m->current->asked == DPM_ASK_DATA)
+        dpm_station_withdraw(&m->station, now);
     atomic_store_explicit(&m->armed, false, memory_order_release);
     for (unsigned i = 0; i < m->n_slaves; i++)
         dpm_outputs_make_safe(m->slaves[i].outputs, latch);
@@ -81,7 +84,7 @@ static void judge_watchdog(dpm_master *m, int64_t now)
     if (now <= watchdog_at(m))
         return;
     m->latched = true;
-    make_outputs_safe(m, true);
+    make_outputs_safe(m, true, now);
     enter_mode(m, DPM_MODE_CLEAR, now);
     put_event(m, now, DPM_EV_WATCHDOG, atomic_load_explicit(&m->fed_by, memory_order_relaxed), 0);
 }
@@ -362,7 +365,7 @@ int dpm_master_set_mode(dpm_master *master, int mode, int64_t now)
     if (mode != DPM_MODE_OFFLINE)
         dpm_station_online(&master->station, master->port_works, now);
     if (master->mode == DPM_MODE_OPERATE && mode != DPM_MODE_OPERATE)
-        make_outputs_safe(master, false);
+        make_outputs_safe(master, false, now);
     if (mode <= DPM_MODE_STOP && master->mode != mode) {
         leave(master, (uint8_t)mode, now);
         return DPM_OK;

@@ -420,7 +420,7 @@ void dpm_slave_confirm(dpm_master *master, dpm_slave *slave, int64_t now, const 
 {
     slave->statistics.repetitions += confirm->tries > 1 ? confirm->tries - 1u : 0u;
     if (confirm->status == DPM_CONF_DS)
-        return; /* the bus was lost, not the slave; its FCB starts anew */
+        return; /* the bus was lost or the outputs were withdrawn, not the slave; its FCB starts anew */
     if (confirm->status != DPM_CONF_NA) {
         confirm_answer(master, slave, now, confirm);
         return;

@@ -113,6 +113,14 @@ static void finish_unanswered(dpm_station *st, int64_t now, uint8_t status)
     finish(st, now, &confirm);
 }
 
+void dpm_station_withdraw(dpm_station *station, int64_t now)
+{
+    if (station->tx_kind == DPM_TX_REQUEST)
+        finish_unanswered(station, now, DPM_CONF_DS);
+    else
+        station->withdrawn = true;
+}
+
 static void finish_answered(dpm_station *st, const dpm_received *rx, uint8_t status)
 {
     const dpm_telegram *t = &rx->telegram;
@@ -296,8 +304,8 @@ static void slot_ran_out(dpm_station *st, int64_t until)
         heard_token(st, (uint8_t)st->suspect, st->suspect_da, &token);
         return;
     }
-    if (st->tries > st->retries) {
-        finish_unanswered(st, until, DPM_CONF_NA);
+    if (st->withdrawn || st->tries > st->retries) {
+        finish_unanswered(st, until, st->withdrawn ? DPM_CONF_DS : DPM_CONF_NA);
         return;
     }
     /* The repetition is the first try octet for octet: tx still holds it. */
@@ -429,6 +437,7 @@ static void take_request(dpm_station *st, dpm_fdl_user *user, const dpm_request 
     st->dsap = r->dsap;
     st->ssap = r->ssap;
     st->tries = 0;
+    st->withdrawn = false;
     st->retries = repeatable ? r->retries : 0;
     if (n < 0) {
         dpm_confirm confirm = {.status = DPM_CONF_INVALID, .tsdr = -1};

@@ -49,6 +49,7 @@ struct dpm_station {
     dpm_fdl_user *user;    /* whose it is; NULL: none */
     uint8_t da, function, tries, retries;
     int16_t dsap, ssap;
+    bool withdrawn;        /* not to be sent any more; an answer to what was sent is still good */
     int64_t deadline;      /* slot time over, allowance included */
     int16_t suspect;       /* sender of what looked like a token in the slot, -1 none */
     int64_t heard;         /* latest octet since the request went out, -1 none */
@@ -71,6 +72,9 @@ struct dpm_station {
     uint8_t gap_at;        /* the address polled last */
     int64_t gap_wait;      /* the GAP rests until then */
 };
+
+/* What the exchange under way carries must not be sent again: it ends with DS, unless an answer still comes. */
+void dpm_station_withdraw(dpm_station *station, int64_t now);
 
 /* Put one event into every ring. */
 void dpm_station_event(dpm_station *station, const dpm_event *event);
