@@ -9,7 +9,7 @@ from __future__ import annotations
 from itertools import pairwise
 
 import pytest
-from wire import MS, NEVER, Master, Offer, Script, default_parameters, feed, lib, octets
+from wire import MS, NEVER, US, Master, Offer, S, Script, default_parameters, feed, lib, octets
 
 # Tsl, Tid1 and Tid2 of the standard sets (protocol page D.2).
 SETS = {9600: (100, 37, 60), 187500: (100, 37, 60), 500000: (200, 37, 100), 1500000: (300, 37, 150),
@@ -295,6 +295,32 @@ def test_an_answer_belongs_to_the_exchange_or_to_nobody(stranger):
     assert not request.done and master.status.fdl.stray == 1
     script.answer(DIAG)
     assert request.done and bytes(request.answer[0:6]) == octets("02 05 00 FF 0A 35")
+
+
+@pytest.mark.parametrize("noise", [b"", b"\x68"])
+@pytest.mark.parametrize("allowance, granularity", [(2 * MS, 2 * MS), (20 * MS, 18 * MS), (0, 18 * MS)])  # UART, USB
+@pytest.mark.parametrize("rate", [9600, 500_000, 1_500_000, 12_000_000])
+def test_a_port_that_tells_silence_late_costs_no_token(rate, allowance, granularity, noise):
+    """The times of a UART's FIFO or a USB adapter, longer than Tto, are not our own silence: each request keeps its tries."""
+    master = Master(rate, address=0, allowance=allowance, granularity=granularity)
+    master.mode(lib.DPM_MODE_STOP)
+    request, asked, now = None, 0, 0
+    while asked < 4 and now < 20 * S:
+        if request is None or request.done:
+            request, asked = master.request(9, lib.DPM_FDL_STATUS), asked + 1
+        offer = Offer(master.machine, now)
+        if offer.octets and offer.not_before <= now:
+            end = now + len(offer.octets) * int(lib.dpm_bits_up(master.parameters, 11))
+            master.machine.sent(master.machine, now, end, end, lib.DPM_SENT_WHOLE)
+            now = end
+            if noise and offer.octets[0] == 0x10:
+                now += int(lib.dpm_bits_up(master.parameters, 50))
+                feed(master.machine, noise, now, 0)
+            continue
+        now = max(offer.not_before if offer.octets else offer.wake, now + 100 * US)
+        master.machine.quiet(master.machine, now - granularity)
+    assert asked == 4 and master.status.fdl.unanswered == 3
+    assert master.status.fdl.tokens_lost == 0
 
 
 def test_mirrored_saps_are_demanded():

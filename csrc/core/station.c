@@ -79,10 +79,12 @@ static int64_t silence_ends(const dpm_station *st)
  * do not begin within its slot; later, and whenever we are alone, others may take the token for lost after Tto. */
 static int64_t right_ends(const dpm_station *st)
 {
+    /* A port's late word of silence, and of what came last before it, is not our own silence. */
+    const int64_t late = 2 * st->config.traits.granularity;
     if (st->state == DPM_FDL_CLAIM_TOKEN) /* then the next higher address claims */
-        return silence_ends(st) + 2 * st->tsl + st->config.traits.allowance;
+        return silence_ends(st) + 2 * st->tsl + st->config.traits.allowance + late;
     if (dpm_token_alone(st))
-        return silence_ends(st);
+        return silence_ends(st) + late;
     return st->spoke ? st->last_activity + 6 * st->tsl : st->speak_until;
 }
 
