@@ -511,6 +511,25 @@ def test_an_absent_station_is_tried_rarely_once_others_exchange():
     assert tries > 50, "but each of them is tried"
 
 
+@pytest.mark.parametrize("deaf", [0x3D, 0x3E, None])
+def test_a_station_deaf_to_one_service_does_not_slow_the_others(deaf):
+    """"Silence instead of SC" (traces/README), for ever and with a host's allowance in each slot: Set_Prm, Chk_Cfg, Data_Exchange."""
+    bus = Bus(allowance=10 * MS)
+    bus.master.add(20, 0x0A35, b"\x21")
+    unanswered = 0
+    while bus.script.now < 4 * S:
+        telegram = bus.next()
+        address, sap = telegram[4] & 0x7F, telegram[7] if telegram[4] & 0x80 else None
+        if address == 20 and sap == deaf:
+            unanswered += 1
+            continue
+        state = bus.master.slave(0 if address == 8 else 1).state
+        ready = (0, 4, 0, 2, 0x0A, 0x35) if state == lib.DPM_ST_DIAG2 else (2, 5, 0, 0xFF, 0x0A, 0x35)
+        bus.script.answer(diagnosis(*ready, sa=address) if sap == 0x3C else SC)
+    assert 6 < unanswered < 30
+    assert bus.slave.statistics.exchanges > 4000
+
+
 def test_min_slave_interval_is_kept():
     """GSD Min_Slave_Intervall, unit 100 us: between two requests to the same slave, start-up included."""
     bus = Bus(slave={"min_slave_interval": 20})

@@ -27,7 +27,7 @@ typedef struct dpm_slave {
     bool operating;         /* Global_Control Operate went out since then: outputs may go to it */
     bool returning;         /* it was in Data_Exchange before: safe outputs at its return */
     uint32_t tries;         /* requests without an answer since it was heard last */
-    int64_t pause;          /* ns after the next refusal; grows with each in a row */
+    int64_t pause;          /* ns after the next refusal or loss; grows with each until data are exchanged */
     int64_t interval;       /* Min_Slave_Interval, ns */
     int64_t not_before;     /* the next request to it */
     uint64_t carried;       /* commit in the Data_Exchange under way */

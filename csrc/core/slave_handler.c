@@ -5,7 +5,7 @@
  *   OFFLINE -> DIAG1 -> PRM -> CFG -> DIAG2 -> DATA
  *
  * A slave that answers the first Slave_Diag and is free goes to PRM at once. Refusals come back to DIAG1 with a pause
- * that grows, silence leads to OFFLINE, where it is tried at a low rate.
+ * that grows, silence leads to OFFLINE with the same pause, where it is tried at a low rate.
  */
 #include <string.h>
 
@@ -23,8 +23,8 @@ enum { PRM_REQ = 0x01, STAT_DIAG = 0x02, DEACTIVATED = 0x80 /* M */ };
 /* Set_Prm, octet 1. */
 enum { PRM_LOCK = 0x80, PRM_UNLOCK = 0x40, PRM_WD_ON = 0x08, PRM_SYNC_FREEZE = 0x30 };
 
-/* ns: a slave that is not ready is asked again after WAIT; one that refused comes again at once, and if it refuses
- * again after a pause that doubles from WAIT to PAUSE_MAX. */
+/* ns: a slave that is not ready is asked again after WAIT; one that refused or fell silent comes again at once, and
+ * if it does so again before it has exchanged data after a pause that doubles from WAIT to PAUSE_MAX. */
 #define WAIT 10000000
 #define PAUSE_MAX 1280000000
 
@@ -61,7 +61,6 @@ static void enter(dpm_master *m, dpm_slave *slave, int64_t now, uint8_t state)
         slave->statistics.starts++;
         slave->greeted = false;
         slave->operating = false;
-        slave->pause = 0;
         slave->reason = DPM_WHY_NONE;
         slave->detail = 0;
     }
@@ -87,14 +86,19 @@ static void wait(dpm_slave *slave, int64_t now, int64_t pause)
         slave->not_before = now + pause;
 }
 
-/* The slave refused what it was given: trying again at once would only load the bus. */
-static void refused(dpm_master *m, dpm_slave *slave, int64_t now, uint8_t reason, int32_t detail)
+/* The slave did not take what it was given: trying again and again at once would only load the bus. */
+static void back_off(dpm_slave *slave, int64_t now)
 {
-    fall_back(m, slave, now, DPM_ST_DIAG1, reason, detail);
     wait(slave, now, slave->pause);
     slave->pause = slave->pause ? slave->pause * 2 : WAIT;
     if (slave->pause > PAUSE_MAX)
         slave->pause = PAUSE_MAX;
+}
+
+static void refused(dpm_master *m, dpm_slave *slave, int64_t now, uint8_t reason, int32_t detail)
+{
+    fall_back(m, slave, now, DPM_ST_DIAG1, reason, detail);
+    back_off(slave, now);
 }
 
 void dpm_slave_lose(dpm_master *master, dpm_slave *slave, int64_t now, uint8_t reason, int32_t detail)
@@ -387,6 +391,7 @@ static void confirm_data(dpm_master *m, dpm_slave *slave, int64_t now, const dpm
         slave->diagnosis_pending = true;
     if (!slave->greeted) {
         slave->greeted = true;
+        slave->pause = 0;
         m->control_due = true;
     }
 }
@@ -427,10 +432,12 @@ void dpm_slave_confirm(dpm_master *master, dpm_slave *slave, int64_t now, const 
     }
     slave->statistics.unanswered++;
     slave->tries++;
-    if (slave->state == DPM_ST_LEAVING)
+    if (slave->state == DPM_ST_LEAVING) {
         enter(master, slave, now, DPM_ST_OFFLINE);
-    else if (slave->state != DPM_ST_OFFLINE)
+    } else if (slave->state != DPM_ST_OFFLINE) {
         dpm_slave_lose(master, slave, now, DPM_WHY_NO_ANSWER, slave->state);
-    else if (slave->reason == DPM_WHY_NONE)
+        back_off(slave, now);
+    } else if (slave->reason == DPM_WHY_NONE) {
         fall_back(master, slave, now, DPM_ST_OFFLINE, DPM_WHY_NO_ANSWER, DPM_ST_OFFLINE);
+    }
 }
