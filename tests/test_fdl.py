@@ -439,8 +439,9 @@ def test_offline_sends_nothing_ever():
     assert not Offer(master.machine, 10**12).octets
 
 
-def test_a_request_that_cannot_be_sent_is_confirmed_as_invalid():
+@pytest.mark.parametrize("address", [127, 128, 255])  # nobody may answer a broadcast; no address has eight bits
+def test_a_request_that_cannot_be_sent_is_confirmed_as_invalid(address):
     master, script = stopped()
-    request = master.request(127, lib.DPM_SRD_HIGH, b"\1")  # nobody may answer a broadcast
+    request = master.request(address, lib.DPM_SRD_HIGH, b"\1")
     script.next(tokens=True)
     assert request.done and request.status == lib.DPM_CONF_INVALID and request.tries == 0

@@ -426,13 +426,14 @@ static uint8_t request_fc(const dpm_station *st, const dpm_request *r)
 
 static void take_request(dpm_station *st, dpm_fdl_user *user, const dpm_request *r)
 {
+    const bool valid = request_is_valid(st, r);
     const dpm_telegram t = {
-        .da = r->da, .sa = st->config.address, .fc = request_fc(st, r),
+        .da = r->da, .sa = st->config.address, .fc = valid ? request_fc(st, r) : 0,
         .dsap = r->dsap, .ssap = r->ssap, .dsegment = -1, .ssegment = -1,
         .length = r->length, .data = r->data,
     };
-    const int n = request_is_valid(st, r) ? dpm_encode(&t, st->tx, sizeof st->tx) : DPM_E_ARGUMENT;
-    const bool repeatable = counts_frames(r->function) && st->fcb[r->da] != DPM_FCB_UNKNOWN;
+    const int n = valid ? dpm_encode(&t, st->tx, sizeof st->tx) : DPM_E_ARGUMENT;
+    const bool repeatable = valid && counts_frames(r->function) && st->fcb[r->da] != DPM_FCB_UNKNOWN;
     st->user = user;
     st->da = r->da & 0x7F;
     st->function = r->function;
