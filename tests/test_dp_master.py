@@ -513,7 +513,7 @@ def test_an_absent_station_is_tried_rarely_once_others_exchange():
 
 @pytest.mark.parametrize("deaf", [0x3D, 0x3E, None])
 def test_a_station_deaf_to_one_service_does_not_slow_the_others(deaf):
-    """"Silence instead of SC" (traces/README), for ever: Set_Prm, Chk_Cfg, Data_Exchange; with a host's allowance in each slot."""
+    """"Silence instead of SC" (traces/README), for ever: Set_Prm, Chk_Cfg, Data_Exchange; with a host's allowance."""
     bus = Bus(allowance=10 * MS)
     bus.master.add(20, 0x0A35, b"\x21")
     unanswered = 0
