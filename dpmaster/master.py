@@ -561,9 +561,9 @@ def _log_event(event: Event, station: Station | None, told: dict[int, set[tuple[
                 told.pop(station.address, None)
             log.log(logging.INFO if data else logging.DEBUG, "%s: %s -> %s", who, StationState(event.b).name,
                     StationState(event.a).name)
-        case EventKind.MODE:
+        case EventKind.MODE | EventKind.LATE:  # a busy computer is late now and then; the telegram is asked for again
             log.info("%s", event)
-        case EventKind.FOREIGN | EventKind.WATCHDOG | EventKind.LATE:
+        case EventKind.FOREIGN | EventKind.WATCHDOG:
             log.warning("%s", event)
         case EventKind.PORT:
             log.log(logging.ERROR if event.a else logging.INFO, "%s", event)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import asyncio
 import gc
+import logging
 import os
 import select
 import signal
@@ -26,6 +27,7 @@ from dpmaster import (
     ClosedError,
     ConfigurationError,
     DPTimeout,
+    Event,
     EventKind,
     Master,
     Mode,
@@ -35,6 +37,7 @@ from dpmaster import (
     StationError,
     StationState,
 )
+from dpmaster.master import _log_event
 
 CONFIGURATION = b"\x33"  # 4 octets each way
 
@@ -469,3 +472,11 @@ def test_subscribers_are_limited_and_say_so(master: Master) -> None:
     with pytest.raises(ConfigurationError, match="8 subscribers"):
         for _ in range(9):
             master.events()
+
+
+def test_a_late_telegram_is_no_warning(caplog: pytest.LogCaptureFixture) -> None:
+    """It is dropped, counted and asked for again; a program without logging set up would find it in its own output."""
+    caplog.set_level(logging.INFO, "dpmaster")
+    _log_event(Event(EventKind.LATE, None, 0.0, 1, value=2_600_000), None, {})
+    (record,) = caplog.records
+    assert record.levelno == logging.INFO and "2.600 ms late" in record.message
