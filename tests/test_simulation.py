@@ -147,6 +147,12 @@ def test_carrier_is_known_when_the_first_octet_has_ended(inside, revoked):
     assert ("collision" in simulation.rules_broken()) != revoked
 
 
+def test_a_port_sends_one_thing_at_a_time():
+    simulation, _ = talk((0, 100, ANSWER), (0, 150, SC))
+    assert [t.start for t in simulation.tap()] == [100 * BIT, (100 + bits(ANSWER)) * BIT]
+    assert simulation.statistics.collisions == 0
+
+
 def test_a_host_with_echo_hears_itself_marked():
     talkers = Talker(), Talker()
     simulation = Simulation(default_parameters())
@@ -367,6 +373,27 @@ def test_past_ttr_one_cycle_of_high_priority_is_allowed():
     assert hold(octets("DC 05 02"), held=2000) == [], "passing it on is always right"
 
 
+@pytest.mark.parametrize(("between", "broken"), [
+    ([], ["token hold"]),
+    ([(0, 37, octets("10 05 02 49 50 16")), (1, 11, octets("10 02 05 20 27 16"))], []),  # B.4 #38: ready for the ring
+])
+def test_the_first_token_of_a_new_membership_has_no_rotation(between, broken):
+    """5 had the token, and gets it again past Ttr; where it was outside the ring meanwhile, TRR begins with that token."""
+    parameters = default_parameters()
+    parameters.ttr = 1000
+    to_5, to_2 = octets("DC 05 02"), octets("DC 02 05")
+    status = octets("10 08 05 49 56 16")
+    lines = sequence((0, 37, to_5), (1, 37, to_2), (0, 800, CLAIM), *between, (0, 800, to_5), (1, 37, status))
+    assert talk(*lines, parameters=parameters)[0].rules_broken() == broken
+
+
+def test_a_claim_begins_a_new_rotation():
+    parameters = default_parameters()
+    parameters.ttr = 1000
+    lines = sequence((0, TTO_2, CLAIM), (0, 37, DIAG_LOW), (0, 200, DIAG))
+    assert talk(*lines, parameters=parameters)[0].rules_broken() == []
+
+
 def test_rotations_and_shares():
     """A token counts when its receiver used it; TRR is from token to token."""
     to_5, to_2 = octets("DC 05 02"), octets("DC 02 05")
@@ -481,6 +508,47 @@ def test_an_injected_telegram_is_heard_by_all():
     assert [e.a for e in master.events() if e.kind == lib.DPM_EV_FOREIGN] == [9]
 
 
+def planned(plan: tuple, *parts: tuple[int, float, bytes]) -> list[str]:
+    """Rules broken in a sequence of which one telegram meets a fault; nothing is excused."""
+    talkers = Talker(), Talker()
+    simulation = Simulation(default_parameters(), *talkers)
+    simulation.plan(*plan)
+    for port, at, text in sequence(*parts):
+        talkers[port].say(round(at * BIT), text)
+    simulation.run(100 * MS, violation=False)
+    return simulation.rules_broken()
+
+
+def test_a_lost_answer_is_no_answer_to_whoever_asked():
+    """It would have ended 2 bits before the slot is over; the repetition at Tsl is right, on a wire that was silent."""
+    lost = (lib.DPM_TRAFFIC_ANSWER, lib.DPM_FAULT_LOSE)
+    assert planned(lost, (0, 37, DIAG), (1, 11, ANSWER), (0, 200 - 11 - bits(ANSWER), DIAG)) == []
+
+
+def test_a_garbled_answer_may_be_followed_after_syn():
+    garbled = (lib.DPM_TRAFFIC_ANSWER, lib.DPM_FAULT_GARBLE)
+    assert planned(garbled, (0, 37, DIAG), (1, 11, ANSWER), (0, 33, DIAG)) == []
+    assert planned(garbled, (0, 37, DIAG), (1, 11, ANSWER), (0, 32, DIAG)) == ["SYN"]
+
+
+@pytest.mark.parametrize(("tsdr", "broken"), [(100, []), (101, ["max Tsdr"])])
+def test_max_tsdr_counts_from_the_end_that_was_heard(tsdr, broken):
+    """A request that faults made longer: its answer cannot begin before it ended."""
+    talkers = Talker(), Talker()
+    simulation = Simulation(default_parameters(), *talkers)
+    *lines, (_, at, _), _ = sequence((0, 37, DIAG), (1, 0, ANSWER))
+    for port, time, text in lines:
+        talkers[port].say(round(time) * BIT, text)
+    simulation.run(until=round(at - 5) * BIT)
+    simulation.faults(seed=1, duplicate=1_000_000)
+    talkers[0].say(round(at) * BIT, DIAG)
+    simulation.run(until=round(at + 5) * BIT)
+    simulation.faults()
+    talkers[1].say(round(at + 2 * bits(DIAG) + tsdr) * BIT, ANSWER)
+    simulation.run(100 * MS, violation=False)
+    assert simulation.rules_broken() == broken
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_bus_with_faults_keeps_the_rules(seed):
     """Faults of octets are what a station must live with; what it does then is no breach."""
@@ -591,6 +659,17 @@ def test_a_cut_wire_has_two_halves_until_it_is_joined():
     talkers[2].say(10_000 * BIT, ANSWER)
     simulation.run(20 * MS, violation=False)
     assert [len(t.heard) for t in talkers] == [1, 2, 0, 2]
+
+
+def test_joined_inside_a_telegram_hears_the_octets_that_begin():
+    talkers = Talker(), Talker()
+    simulation = Simulation(default_parameters(), *talkers)
+    simulation.place(1, 1)
+    talkers[0].say(100 * BIT, ANSWER)
+    simulation.run((100 + 5 * 11 + 3) * BIT, violation=False)
+    simulation.place(0, 1)
+    simulation.run(10 * MS, violation=False)
+    assert b"".join(h.octets for h in talkers[1].heard) == ANSWER[6:]
 
 
 def test_a_master_finds_its_slave_again_when_the_wire_is_joined():

@@ -88,28 +88,22 @@ static bool deaf(const dpm_simulation *sim, const dpm_sim_port *port, const dpm_
     return c->t.start + sim->length[slot] < port->tx_end && c->t.start + sim->length[slot + 1] > port->tx_start;
 }
 
-static bool give_slots(const dpm_simulation *sim, unsigned i, const dpm_carried *c, unsigned from, unsigned to)
+static void give_slots(const dpm_simulation *sim, unsigned i, const dpm_carried *c, unsigned from, unsigned to)
 {
     const dpm_sim_port *port = &sim->port[i];
-    bool any = false;
     if (!c->slotted && (c->t.wire_end <= port->tx_start || c->t.start >= port->tx_end || port->host.echo)) {
-        if (from < to)
-            give(sim, i, c, from, to);
-        return from < to;
+        give(sim, i, c, from, to);
+        return;
     }
     for (unsigned slot = from; slot < to; slot++)
-        if (!(c->slotted && c->mark[slot] == DPM_SIM_EMPTY) && !deaf(sim, port, c, slot)) {
+        if (!(c->slotted && c->mark[slot] == DPM_SIM_EMPTY) && !deaf(sim, port, c, slot))
             give(sim, i, c, slot, slot + 1);
-            any = true;
-        }
-    return any;
 }
 
 /* Everything that ended up to `until`, in its order: what overlaps was made disjoint when it began. */
-static bool read_wire(dpm_simulation *sim, unsigned i, int64_t until)
+static void read_wire(dpm_simulation *sim, unsigned i, int64_t until)
 {
     dpm_sim_port *port = &sim->port[i];
-    bool any = false;
     if (sim->sent - port->next > sim->config.tap) {
         sim->statistics.overrun += sim->sent - port->next - sim->config.tap;
         port->next = sim->sent - sim->config.tap;
@@ -121,15 +115,14 @@ static bool read_wire(dpm_simulation *sim, unsigned i, int64_t until)
             continue;
         const unsigned ended = dpm_sim_ended(sim, c, until);
         if (ended > port->slot) {
-            any |= give_slots(sim, i, c, port->slot, ended);
+            give_slots(sim, i, c, port->slot, ended);
             port->slot = (uint16_t)ended;
         }
         if (c->t.wire_end > until) {
             port->feed = late(port, handed_over(port, c->t.wire_end, true));
-            break;
+            return;
         }
     }
-    return any;
 }
 
 /* Begin to listen now: of what is on the wire, octets that begin from now on. */
@@ -152,6 +145,14 @@ static void attune(dpm_simulation *sim, unsigned i)
 }
 
 /* --- serving one port ---------------------------------------------------------------------------------------------- */
+
+/* Its transmission ends here, on the wire and for its driver. */
+static void break_off(dpm_simulation *sim, unsigned i)
+{
+    dpm_sim_break_off(sim, (int)i);
+    if (sim->port[i].tx_end > sim->now)
+        sim->port[i].tx_end = sim->now;
+}
 
 static bool is_due(const dpm_simulation *sim, const dpm_sim_port *port, const dpm_offer *offer)
 {
@@ -177,8 +178,8 @@ static void serve(dpm_simulation *sim, unsigned i)
     dpm_machine *machine = port->machine;
     const int64_t heard = handed_over(port, sim->now, false);
     dpm_offer offer;
-    if (!read_wire(sim, i, heard) || sim->now >= port->wake)
-        machine->quiet(machine, heard);
+    read_wire(sim, i, heard);
+    machine->quiet(machine, heard); /* a read at once after that one is empty */
     machine->ask(machine, sim->now, &offer);
     if (is_due(sim, port, &offer)) {
         transmit(sim, i, &offer);
@@ -299,11 +300,11 @@ int dpm_simulation_power(dpm_simulation *sim, unsigned i, bool on)
     if (on == port->on)
         return DPM_OK;
     if (!on)
-        dpm_sim_break_off(sim, (int)i);
+        break_off(sim, i);
     port->on = on;
     port->wake = on ? sim->now : DPM_NEVER;
     port->feed = DPM_NEVER;
-    port->on_since = port->tx_end = sim->now;
+    port->on_since = sim->now;
     if (on)
         attune(sim, i);
     dpm_sim_forget(sim, port->address);
@@ -318,7 +319,7 @@ int dpm_simulation_place(dpm_simulation *sim, unsigned i, unsigned side)
     dpm_sim_port *port = &sim->port[i];
     if (port->side == side)
         return DPM_OK;
-    dpm_sim_break_off(sim, (int)i);
+    break_off(sim, i);
     port->side = (uint8_t)side;
     sim->sides = sim->sides > side ? sim->sides : (uint8_t)(side + 1);
     sim->last_fault = sim->now;

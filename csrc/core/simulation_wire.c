@@ -265,7 +265,7 @@ static void collide(dpm_simulation *sim, dpm_carried *b)
         dpm_carried *a = dpm_sim_carried(sim, b->t.number - k);
         if (a->t.start + sim->length[DPM_SIM_SLOTS] <= sim->now)
             break;
-        if (a->t.side != b->t.side || a->t.wire_end <= sim->now || (a->t.flags & DPM_TAP_LOST))
+        if (a->t.side != b->t.side || a->t.wire_end <= sim->now)
             continue;
         garble_overlap(sim, a, b);
         a->t.flags |= DPM_TAP_COLLIDED;
@@ -328,7 +328,7 @@ void dpm_sim_break_off(dpm_simulation *sim, int port)
         dpm_sim_side *side = &sim->side[c->t.side];
         if (c->t.start + sim->length[DPM_SIM_SLOTS] <= sim->now)
             return;
-        if (c->t.port != port || c->t.wire_end <= sim->now || (c->t.flags & (DPM_TAP_LOST | DPM_TAP_INJECTED)))
+        if (c->t.port != port || c->t.wire_end <= sim->now || (c->t.flags & DPM_TAP_INJECTED))
             continue;
         if (side->busy_to == c->t.wire_end)
             side->busy_to = sim->now;
