@@ -148,7 +148,12 @@ def test_carrier_is_known_when_the_first_octet_has_ended(inside, revoked):
 
 
 def test_a_port_sends_one_thing_at_a_time():
-    simulation, _ = talk((0, 100, ANSWER), (0, 150, SC))
+    talker = Talker()
+    simulation = Simulation(default_parameters(), talker)
+    talker.say(100 * BIT, ANSWER)
+    talker.say(150 * BIT, SC)
+    simulation.run(until=160 * BIT, violation=False)  # a run asks every machine when it begins
+    simulation.run(10 * MS, violation=False)
     assert [t.start for t in simulation.tap()] == [100 * BIT, (100 + bits(ANSWER)) * BIT]
     assert simulation.statistics.collisions == 0
 
@@ -202,11 +207,18 @@ def test_a_late_host_is_late_by_its_seed(seed):
     assert run(seed) != run(seed + 100)
 
 
-def test_a_late_slave_answers_within_max_tsdr_and_its_lateness():
-    simulation, master = bus(slave_host={"lateness": 60 * US, "seed": 5}, slaves=2)
-    simulation.run(200 * MS)
-    simulation.check()
-    assert master.slave(0).statistics.exchanges > 50
+@pytest.mark.parametrize(("bound", "broken"), [(30, []), (0, ["max Tsdr"])])
+def test_max_tsdr_allows_for_the_hosts_lateness(bound, broken):
+    """A late slave answers within max Tsdr + its lateness (design: "Time on a real port"); an exact one within max Tsdr."""
+    talkers = Talker(), Talker()
+    simulation = Simulation(default_parameters(), talkers[0])
+    simulation.attach(talkers[1], lateness=bound * BIT, seed=1)
+    for port, at, text in sequence((0, 37, DIAG), (1, 100 if bound else 101, ANSWER)):
+        talkers[port].say(round(at) * BIT, text)
+    simulation.run(100 * MS, violation=False)
+    request, answer = simulation.tap()[-2:]
+    assert 100 * BIT < answer.start - request.end <= 130 * BIT
+    assert simulation.rules_broken() == broken
 
 
 def test_octets_that_a_late_host_never_read_are_counted():
@@ -344,8 +356,9 @@ def test_a_claim_comes_after_tto(address):
 
 def test_a_request_needs_the_token():
     assert talk((0, 5000, DIAG))[0].rules_broken() == ["request without token"]
-    taken = [(0, 37, octets("DC 05 02")), (1, 37, octets("DC 07 05")), (0, 250, DIAG)]
-    assert talk(*sequence(*taken))[0].rules_broken() == ["request without token"]
+    passed = (0, 37, octets("DC 05 02"))
+    for used in (octets("DC 07 05"), octets("10 08 05 49 56 16")):
+        assert talk(*sequence(passed, (1, 37, used), (0, 250, DIAG)))[0].rules_broken() == ["request without token"]
 
 
 def test_a_pass_that_nobody_took_leaves_the_token_with_the_passer():
@@ -523,6 +536,7 @@ def test_a_lost_answer_is_no_answer_to_whoever_asked():
     """It would have ended 2 bits before the slot is over; the repetition at Tsl is right, on a wire that was silent."""
     lost = (lib.DPM_TRAFFIC_ANSWER, lib.DPM_FAULT_LOSE)
     assert planned(lost, (0, 37, DIAG), (1, 11, ANSWER), (0, 200 - 11 - bits(ANSWER), DIAG)) == []
+    assert planned(lost, (0, 37, DIAG), (1, 11, SC), (0, 199 - 11 - bits(SC), DIAG)) == ["slot"]
 
 
 def test_a_garbled_answer_may_be_followed_after_syn():
@@ -633,6 +647,18 @@ def test_who_took_a_token_and_broke_off_unheard_did_not_take_it(octets_heard, br
     simulation.power(1, False)
     simulation.run(10 * MS, violation=False)
     assert simulation.rules_broken() == broken
+
+
+def test_with_power_again_a_port_need_not_wait_for_what_broke_off():
+    talker = Talker()
+    simulation = Simulation(default_parameters(), talker)
+    talker.say(100 * BIT, ANSWER)
+    talker.say(150 * BIT, SC)
+    simulation.run(until=120 * BIT, violation=False)
+    simulation.power(0, False)
+    simulation.power(0, True)
+    simulation.run(10 * MS, violation=False)
+    assert [t.start for t in simulation.tap()] == [100 * BIT, 150 * BIT]
 
 
 def test_power_on_inside_a_telegram_hears_the_octets_that_begin():
