@@ -12,6 +12,7 @@
 
 /* Tries of absent slaves may cost this part of the bus's time once other slaves exchange data: one in so many. */
 #define TRY_SHARE 20
+#define HOUR 3600000000000 /* ns; the longest time a caller may set */
 /* A cycle in which no slave was asked is not repeated before this has passed, ns. */
 #define EMPTY_CYCLE 1000000
 
@@ -66,8 +67,15 @@ void dpm_master_feed(dpm_master *master, int64_t now, int by)
     if (too_late(master, now))
         return;
     feed(master, now, by);
-    if (by == DPM_FED_COMMIT)
-        atomic_store_explicit(&master->armed, true, memory_order_release);
+}
+
+void dpm_master_arm(dpm_master *master, int64_t time)
+{
+    if (atomic_load_explicit(&master->armed, memory_order_relaxed))
+        return;
+    atomic_store_explicit(&master->armed, true, memory_order_release);
+    if (time > atomic_load_explicit(&master->fed_at, memory_order_relaxed))
+        feed(master, time, DPM_FED_COMMIT);
 }
 
 /* When the output watchdog runs out; outputs that no commit has ever touched are safe already. */
@@ -84,9 +92,10 @@ static void judge_watchdog(dpm_master *m, int64_t now)
     if (now <= watchdog_at(m))
         return;
     m->latched = true;
+    m->latched_by = (uint8_t)atomic_load_explicit(&m->fed_by, memory_order_relaxed);
     make_outputs_safe(m, true, now);
     enter_mode(m, DPM_MODE_CLEAR, now);
-    put_event(m, now, DPM_EV_WATCHDOG, atomic_load_explicit(&m->fed_by, memory_order_relaxed), 0);
+    put_event(m, now, DPM_EV_WATCHDOG, m->latched_by, 0);
 }
 
 /* --- the cycle --------------------------------------------------------------------------------------------------- */
@@ -405,8 +414,9 @@ size_t dpm_master_size(uint16_t slaves) { return sizeof(dpm_master) + slaves * s
 int dpm_master_init(void *block, size_t size, const dpm_master_config *config, dpm_master **master)
 {
     dpm_station *station;
-    if (config->slaves < 1 || config->slaves > 126 || config->cycle_time < 0 || config->output_watchdog < 0 ||
-        config->control_interval < 1)
+    if (config->slaves < 1 || config->slaves > 126 || config->cycle_time < 0 || config->cycle_time > HOUR ||
+        config->output_watchdog < 0 || config->output_watchdog > HOUR || config->control_interval < 1 ||
+        config->control_interval > HOUR)
         return DPM_E_ARGUMENT;
     if (!block || size < dpm_master_size(config->slaves))
         return DPM_E_BLOCK;
@@ -502,7 +512,8 @@ void dpm_master_get_status(const dpm_master *master, dpm_master_status *status)
         .mode = master->mode,
         .fdl_state = (uint8_t)dpm_station_state(&master->station),
         .latched = master->latched,
-        .fed_by = (uint8_t)atomic_load_explicit(&master->fed_by, memory_order_relaxed),
+        .fed_by = master->latched ? master->latched_by
+                                  : (uint8_t)atomic_load_explicit(&master->fed_by, memory_order_relaxed),
         .foreign = master->station.foreign,
         .cycle = master->cycle,
         .cycle_last = master->cycle_last,

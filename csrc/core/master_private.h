@@ -46,10 +46,11 @@ struct dpm_master {
     uint8_t mode, target; /* enum dpm_mode; target while leaving */
     bool leaving;
     bool latched;
+    uint8_t latched_by;   /* what had fed the output watchdog when it ran out */
     bool port_works;
     _Atomic int64_t fed_at;
     _Atomic int fed_by;
-    atomic_bool armed;    /* a commit was made since the outputs were made safe */
+    atomic_bool armed;    /* outputs of a commit are alive */
 
     bool fresh_token;     /* a turn of the token that has not begun a cycle yet */
     bool in_cycle;
@@ -82,6 +83,8 @@ void dpm_slave_lose(dpm_master *master, dpm_slave *slave, int64_t now, uint8_t r
 void dpm_slave_leave(dpm_master *master, dpm_slave *slave, int64_t now, bool reachable);
 
 /* master.c */
+/* Outputs of a commit made at `time` are alive: from now on the output watchdog watches the program. */
+void dpm_master_arm(dpm_master *master, int64_t time);
 bool dpm_master_exchanges(const dpm_master *master);
 
 #endif

@@ -177,6 +177,8 @@ static void build_data(dpm_master *m, dpm_slave *slave, dpm_request *request)
     const bool operate = may_have_outputs(m, slave);
     const dpm_frame *frame = operate ? dpm_outputs_take(slave->outputs) : NULL;
     slave->carried = frame ? frame->number : 0;
+    if (slave->carried)
+        dpm_master_arm(m, frame->time);
     request->dsap = DPM_NO_SAP;
     request->ssap = DPM_NO_SAP;
     request->length = operate || !slave->set.fail_safe ? (uint8_t)slave->output_length : 0;

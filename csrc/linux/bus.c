@@ -129,6 +129,8 @@ static void turn(dpm_bus *bus)
             return;
         }
         bus->clean = false;
+        if (dpm_now() > offer.not_after)
+            return; /* the host went away just now: asked again, the machine drops it and says so */
         if (dpm_port_write(bus->port, bus->machine, offer.octets, offer.n) == DPM_E_GONE)
             lose_port(bus);
         return;

@@ -40,7 +40,7 @@ enum {
 static const dpm_port_traits profiles[] = {
     [DPM_PROFILE_UART] = {INT64_C(2000000), INT64_C(2000000), 0},   /* receive FIFO time-out, flip buffer, wake-up */
     [DPM_PROFILE_USB] = {INT64_C(20000000), INT64_C(18000000), 0}, /* 16 ms latency timer, 1 ms frames each way */
-    [DPM_PROFILE_PTY] = {INT64_C(10000000), INT64_C(5000000), 0},   /* wake-up of two processes under load */
+    [DPM_PROFILE_PTY] = {INT64_C(25000000), INT64_C(5000000), 0},   /* wake-up of two processes under load */
 };
 
 /* Our last transmission, while its echo may come. */
@@ -430,8 +430,11 @@ int dpm_port_write(dpm_port *port, dpm_machine *machine, const uint8_t *octets, 
 {
     if (n == 0 || n > ECHO_MAX)
         return DPM_E_LENGTH;
+    const bool held = port->echo.matched > 0;
     if (port->echo.length)
         release(port, machine);
+    if (held)
+        return DPM_OK; /* it was no echo and may revoke the offer: the machine is asked again */
     int64_t start = dpm_now();
     ssize_t written = write(port->fd, octets, n);
     int why = errno;

@@ -24,10 +24,6 @@
 #include "linux/wire.h"
 #include "linux/worker.h"
 
-/* What the attached slaves are told of their port: how late this thread may wake, and how long a client may pause inside
- * a telegram (it writes one in one piece, but the scheduler may tear two writes apart). */
-#define ALLOWANCE 10000000
-#define GRANULARITY 5000000
 #define SPIN 60000 /* ns before a due time that are watched awake: longer than most wake-ups take */
 
 enum { POLL_WAKE, POLL_PRESENCE, POLL_PORTS };
@@ -328,7 +324,8 @@ static int lay_out(dpm_segment *segment, size_t size)
                   (uint16_t)(config->ports + 1));
     if (!config->slaves)
         return DPM_OK;
-    dpm_port_traits traits = {.allowance = ALLOWANCE, .granularity = GRANULARITY};
+    dpm_port_traits traits; /* the attached slaves' port is like any pty */
+    dpm_profile_traits(DPM_PROFILE_PTY, &traits);
     int code = dpm_slaves_init(slaves, size - (size_t)(slaves - (uint8_t *)segment), &config->parameters, &traits,
                                config->slaves, &segment->slaves);
     if (!code)

@@ -89,7 +89,6 @@ typedef struct dpm_slave_status {
     uint8_t state;              /* enum dpm_station_state */
     uint8_t reason;             /* enum dpm_reason, of the last trouble */
     int32_t detail;
-    uint32_t epoch;
     uint8_t diagnosis[DPM_IO_MAX]; /* as received, with the master's own bits added (Station_Non_Existent,
                                       Invalid_Slave_Response, Master_Lock, Deactivated) */
     uint8_t diagnosis_length;   /* 0: none yet */
@@ -102,7 +101,7 @@ typedef struct dpm_master_status {
     uint8_t mode;               /* enum dpm_mode */
     uint8_t fdl_state;          /* enum dpm_fdl_state */
     bool latched;               /* the output watchdog ran out */
-    uint8_t fed_by;             /* enum dpm_feed */
+    uint8_t fed_by;             /* enum dpm_feed; latched: the last before it ran out */
     int16_t foreign;            /* address of the foreign master heard last, -1 none */
     uint64_t cycle;
     int64_t cycle_last;         /* ns, duration of the last whole cycle */
@@ -113,7 +112,7 @@ typedef struct dpm_master_status {
 typedef struct dpm_master_config {
     dpm_station_config station;
     uint16_t slaves;             /* room for so many, 1..126 */
-    int64_t cycle_time;          /* ns from one cycle's start to the next one's; 0: free running */
+    int64_t cycle_time;          /* ns from one cycle's start to the next one's, up to an hour; 0: free running */
     int64_t output_watchdog;     /* ns; 0: off */
     int64_t control_interval;    /* ns between repetitions of Global_Control; Data_Control_Time / 3 */
 } dpm_master_config;
