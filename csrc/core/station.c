@@ -598,7 +598,9 @@ static void derive_times(dpm_station *st, const dpm_parameters *p, uint8_t addre
     st->tsyni = dpm_bits_up(p, 2 * (2 * (DPM_TSYN + DPM_TELEGRAM_MAX * DPM_CHARACTER_BITS)) + DPM_TSYN);
     st->min_tsdr = dpm_bits_up(p, p->min_tsdr);
     st->max_tsdr = dpm_bits_down(p, p->max_tsdr);
-    st->idle = 4 * st->tsl; /* Tto of address 0, the shortest, is 6 Tsl */
+    /* Less than 6 Tsl, Tto of address 0 and the shortest; not the same for two stations, since two that each believe
+     * to be alone could otherwise talk over each other in step for ever. */
+    st->idle = 4 * st->tsl + st->tsl * address / 84;
     st->turn = 10 * st->tsl;
 }
 

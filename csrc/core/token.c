@@ -342,7 +342,8 @@ void dpm_token_slot_over(dpm_station *station, int64_t now)
         drop(station->ring.las, station->ring.ns);
         find_neighbours(station);
         station->passes = 0;
-        begin_gap(station); /* it has grown, and whoever is in it may come back */
+        begin_gap(station); /* it has grown, and whoever is in it may come back: at the next token */
+        station->gap_polled = true;
     }
     station->state = DPM_FDL_PASS_TOKEN;
 }
