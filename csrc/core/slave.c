@@ -279,7 +279,8 @@ int dpm_slaves_init(void *block, size_t size, const dpm_parameters *parameters, 
     self->answer_within = dpm_bits_down(parameters, parameters->max_tsdr) + traits->allowance;
     self->room = slaves;
     /* "A receiver can treat 33 Tbit idle as a definite frame end"; what the port cannot tell is never held against it. */
-    dpm_receiver_init(&self->receiver, dpm_bits_up(parameters, DPM_CHARACTER_BITS), traits->granularity,
+    dpm_receiver_init(&self->receiver, dpm_bits_up(parameters, DPM_CHARACTER_BITS),
+                      dpm_bits_up(parameters, DPM_TSYN) + traits->granularity,
                       dpm_bits_up(parameters, DPM_TSYN) + traits->granularity);
     *out = self;
     return DPM_OK;
