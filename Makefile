@@ -26,12 +26,13 @@ FUZZ_SECONDS ?= 30
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
-.PHONY: help check demo test lint bench fuzz sanitize dist clean
+.PHONY: help check demo test soak lint bench fuzz sanitize dist clean
 
 help: check
 	@echo "make demo      start a drive on a virtual bus and watch it run"
 	@echo "make test      run the tests"
 	@echo "make lint      ruff, mypy --strict, gcc and clang with all warnings as errors"
+	@echo "make soak      the long proofs: 10 000 random rings on virtual time"
 	@echo "make bench     measure the speed"
 	@echo "make fuzz      run each fuzz target for $(FUZZ_SECONDS) s"
 	@echo "make sanitize  run the tests with AddressSanitizer and UndefinedBehaviorSanitizer in the C library"
@@ -90,6 +91,10 @@ demo: $(VENV)/.built
 
 test: $(VENV)/.built $(VENV)/.test
 	$(PY) -m pytest $(ARGS)
+
+# Longer proofs than a change has to wait for: 10 000 random rings, 10 000 cycles of a single master at each rate.
+soak: $(VENV)/.built $(VENV)/.test
+	DPM_SOAK_RUNS=10000 DPM_SOAK_CYCLES=10000 $(PY) -m pytest --capture=no tests/test_ring_soak.py $(ARGS)
 
 bench: $(VENV)/.built $(VENV)/.bench
 	$(PY) tests/bench/bench.py $(ARGS)

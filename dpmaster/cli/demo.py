@@ -16,7 +16,7 @@ import sys
 import textwrap
 import time
 from collections.abc import Callable
-from typing import Literal, TextIO
+from typing import TextIO
 
 from dpmaster import Master
 from dpmaster.drives import YaskawaV7
@@ -160,9 +160,10 @@ def session(args: argparse.Namespace, show: Show) -> dict[str, object]:
         port = wire.port()
         show.line("wire", f"{port}, {args.baudrate / 1000:g} kbit/s, {'paced' if args.paced else 'unpaced'}; "
                           f"a Yaskawa V7 with its card SI-P1 at address {ADDRESS}")
-        with Master(port, baudrate=args.baudrate, address=1, cycle_time=0.005) as master:
-            # The lowest rates take longer than the second that the default watchdog grants; see --paced.
-            watchdog: float | Literal["default"] = "default" if args.baudrate > SLOW else 5.0
+        # A machine that is busy with something else must not spoil the show: a lost answer is waited for longer, so the
+        # watchdog is, too. The lowest rates take longer than a second; see --paced.
+        with Master(port, baudrate=args.baudrate, address=1, cycle_time=0.005, allowance=0.1) as master:
+            watchdog = 1.0 if args.baudrate > SLOW else 5.0
             drive = master.add(YaskawaV7(address=ADDRESS, configuration="Extended Data 1", watchdog=watchdog))
             begin = time.monotonic()
             master.operate(timeout=5.0)
