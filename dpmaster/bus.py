@@ -14,11 +14,11 @@ import time
 import weakref
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from dpmaster import _arguments, _core
 from dpmaster._core import NS, ffi, lib
+from dpmaster._names import Named
 from dpmaster.errors import ClosedError, ConfigurationError, PortError
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ __all__ = ["Bus", "FdlState", "Feed", "Mode", "PortStatistics"]
 T = TypeVar("T")
 
 
-class Mode(IntEnum):
+class Mode(Named):
     """The master's mode, with the codes of EN 50170 part 8 (``enum dpm_mode``)."""
 
     OFFLINE = 0x00  # nothing is sent
@@ -38,7 +38,7 @@ class Mode(IntEnum):
     OPERATE = 0xC0
 
 
-class FdlState(IntEnum):
+class FdlState(Named):
     """The FDL station's state (``enum dpm_fdl_state``)."""
 
     OFFLINE = 0
@@ -53,7 +53,7 @@ class FdlState(IntEnum):
     AWAIT_STATUS_RESPONSE = 9
 
 
-class Feed(IntEnum):
+class Feed(Named):
     """What fed the output watchdog (``enum dpm_feed``)."""
 
     OPERATE = 0

@@ -9,8 +9,9 @@ ends the blocks, and what is left is kept as it came.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum, IntFlag
+from enum import IntFlag
 
+from dpmaster._names import Named
 from dpmaster.errors import ConfigurationError
 
 __all__ = [
@@ -19,7 +20,7 @@ __all__ = [
 ]
 
 
-class StationState(IntEnum):
+class StationState(Named):
     """The slave handler's states, as EN 50170 part 8 draws them (``enum dpm_station_state``)."""
 
     OFFLINE = 0  # not heard of; tried at a low rate
@@ -32,7 +33,7 @@ class StationState(IntEnum):
     LEAVING = 7  # Set_Prm with Unlock is next
 
 
-class Reason(IntEnum):
+class Reason(Named):
     """Why a station is not in Data_Exchange, or left it (``enum dpm_reason``)."""
 
     NONE = 0

@@ -15,11 +15,11 @@ import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import TYPE_CHECKING
 
 from dpmaster import _core
 from dpmaster._core import NS, ffi, lib
+from dpmaster._names import Named
 from dpmaster.bus import FdlState, Feed, Mode
 from dpmaster.diagnosis import Reason, StationState
 from dpmaster.errors import ClosedError, ConfigurationError
@@ -33,7 +33,7 @@ __all__ = ["Event", "EventKind", "Events"]
 _LIVE = ("unknown", "nobody", "slave", "master, not ready", "master, ready", "master in the ring")  # enum dpm_live
 
 
-class EventKind(IntEnum):
+class EventKind(Named):
     """What happened (``enum dpm_event_kind``, which says what a, b and value hold)."""
 
     STATE = 1

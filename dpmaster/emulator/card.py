@@ -10,11 +10,12 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import ClassVar
 
+from dpmaster._names import Named
 
-class SlaveState(IntEnum):
+
+class SlaveState(Named):
     """State of the DP slave in front of the card; the numbers are those of `enum dpm_slave_state` in slave.h."""
 
     OFF = 0
