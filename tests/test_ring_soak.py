@@ -32,6 +32,7 @@ class Ring:
         self.ports = [self.wire.attach(master) for master in self.masters]
         self.on = [False] * len(addresses)
         self.addresses = addresses
+        self.coincidences = 0
         for port in self.ports:
             self.wire.power(port, False)
 
@@ -51,12 +52,23 @@ class Ring:
         return all(m.las == running and m.status.fdl_state >= lib.DPM_FDL_ACTIVE_IDLE
                    for m, on in zip(self.masters, self.on, strict=True) if on)
 
+    def run(self, until: int) -> None:
+        """Run, and fail on any broken rule but one: stations switched on at different times may find Tto over within the
+        same character, and nobody knows of a character that has not ended. Such claims collide, and are counted."""
+        while self.wire.run(until=max(until, self.wire.now + 1)) == lib.DPM_STOPPED_VIOLATION:
+            claims = [t for t in self.wire.tap(2) if t.octets[:1] == b"\xdc" and t.octets[1] == t.octets[2]]
+            if len(claims) < 2 or claims[1].start - claims[0].start > self.wire.bits(11):
+                self.wire.check()
+            self.wire.run(200 * self.tsl, violation=False)
+            self.wire.clear()
+            self.coincidences += 1
+
     def form(self, slots: int = 200_000) -> None:
         end = self.wire.now + slots * self.tsl
         while not self.formed():
             assert self.wire.now < end, f"no ring: {[sorted(m.las) for m in self.masters]}\n" + "\n".join(
                 str(t) for t in self.wire.tap(30))
-            self.wire.run(500 * self.tsl, violation=False)
+            self.run(self.wire.now + 500 * self.tsl)
         self.wire.check()
 
     def rotate(self, rotations: int) -> None:
@@ -81,32 +93,35 @@ def all_on(rate: int, *addresses: int, **options: int) -> Ring:
 # --- random rings ------------------------------------------------------------------------------------------------------
 
 
-def one_run(seed: int) -> float:
-    """A ring from its seed: it forms, and then 500 rotations without one broken rule. Returns the simulated seconds."""
+def one_run(seed: int) -> Ring:
+    """A ring from its seed: it forms, and then 500 rotations without one broken rule."""
     rng = random.Random(seed)
     rate, addresses = rng.choice(RATES), rng.sample(range(126), rng.randint(1, 8))
     ring = Ring(rate, addresses, hsa=max(addresses) if rng.random() < 0.5 else 126)
     switches = [(rng.randrange(200 * ring.tsl), i) for i in range(len(addresses))]
     switches += [(rng.randrange(4000 * ring.tsl), rng.randrange(len(addresses))) for _ in range(rng.randint(0, 6))]
     for time, i in sorted(switches):
-        ring.wire.run(until=max(time, ring.wire.now + 1))
+        ring.run(time)
         ring.switch(i, not ring.on[i])
     for i in range(len(addresses)):
         ring.switch(i, True)
     ring.form()
     ring.rotate(500)
-    return ring.wire.now / S
+    return ring
 
 
 @pytest.mark.timeout(3600)
 def test_rings_of_any_size_form_and_keep_every_rule():
-    simulated = 0.0
+    simulated, coincidences = 0.0, 0
     for seed in range(FIRST, FIRST + RUNS):
         try:
-            simulated += one_run(seed)
+            ring = one_run(seed)
+            simulated += ring.wire.now / S
+            coincidences += ring.coincidences
         except AssertionError as failure:
             raise AssertionError(f"seed {seed}: {failure}") from failure
-    print(f"{RUNS} runs from seed {FIRST}, {simulated:.0f} s of bus")
+    print(f"{RUNS} runs from seed {FIRST}, {simulated:.0f} s of bus, {coincidences} claims in the same character")
+    assert coincidences <= RUNS / 50
 
 
 # --- what breaks a ring --------------------------------------------------------------------------------------------------
