@@ -251,7 +251,8 @@ class SIP1(Card):
                 times.append(self._powered + INITIALISATION)
             if not self.motor.arrived:
                 times.append(min(now + SCAN, self.motor.settles))
-            if self._exchange.state is SlaveState.DATA_EXCH:
+            where = self._configuration
+            if where and where.channel:  # the WD counter is in the parameter channel's handshake octet
                 times.append(self._powered + WD_PERIOD * (self._ticks(now) + 1))
             return max(min(times), now + 1e-4)
 
