@@ -69,7 +69,7 @@ static void make_master(bench *b, const dpm_parameters *parameters)
 
 static void make_slaves(bench *b, const dpm_parameters *parameters)
 {
-    const dpm_port_traits traits = {ALLOWANCE, GRANULARITY};
+    const dpm_port_traits traits = {.allowance = ALLOWANCE, .granularity = GRANULARITY};
     dpm_slave_config config = {.ident_number = IDENT, .configurations = 2, .configuration_length = {1, 1},
                                .configuration = {{0x31}, {0x21}}, .user_parameters_max = 237, .fail_safe = true,
                                .sync_supported = true, .freeze_supported = true, .max_diagnosis = 32, .min_tsdr = 11};
