@@ -57,7 +57,7 @@ static void make_master(bench *b, const dpm_parameters *parameters)
                          .wd_fact_2 = 2, .min_tsdr = 11, .active = true};
     config.station.parameters = *parameters;
     config.station.address = MASTER;
-    config.station.traits = (dpm_port_traits){ALLOWANCE, GRANULARITY};
+    config.station.traits = (dpm_port_traits){.allowance = ALLOWANCE, .granularity = GRANULARITY};
     MUST(dpm_master_init(block(b, dpm_master_size(KNOWN)), dpm_master_size(KNOWN), &config, &b->master) == DPM_OK);
     for (uint8_t i = 0; i < KNOWN; i++) {
         set.address = (uint8_t)(FIRST + i);
