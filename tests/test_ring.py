@@ -8,7 +8,7 @@ themselves, with every rule of the wire watched, is test_ring_soak.py's.
 from __future__ import annotations
 
 import pytest
-from wire import MS, Master, S, Script, Slaves, Wire, default_parameters, lib, octets
+from wire import MS, Master, Offer, S, Script, Slaves, Wire, default_parameters, lib, octets
 
 RING = lib.DPM_ROLE_RING
 TSL = 200  # Tbit at 500 kbit/s
@@ -300,6 +300,7 @@ def test_a_duplicate_address_is_reported_and_the_bus_left():
     bus.script.answer(token(9, 5), tsdr=200)
     assert bus.state == lib.DPM_FDL_OFFLINE
     assert [e.address for e in bus.master.events() if e.kind == lib.DPM_EV_DUPLICATE] == [5]
+    assert bus.master.view.duplicate and bus.master.status.mode == lib.DPM_MODE_OFFLINE
     assert bus.script.next(limit=1 * S, tokens=True) == b""
 
 
@@ -338,6 +339,82 @@ def test_noise_at_every_moment_of_a_token_pass_heals(noise, moment):
     assert all(m.las == {5, 9} for m in masters)
 
 
+# --- a host that wakes late, the live list ------------------------------------------------------------------------------
+
+
+def late_bus() -> Bus:
+    parameters = default_parameters(500_000)
+    parameters.tsl = lib.dpm_ring_tsl(parameters, 2 * MS)
+    bus = Bus(parameters=parameters, allowance=2 * MS)
+    bus.entered()
+    bus.passed()
+    return bus
+
+
+def test_a_token_that_may_be_older_than_a_slot_is_not_used():
+    """The predecessor says it again a slot later, and two would talk at once."""
+    bus = late_bus()
+    heard = bus.script.answer(token(2, 9), tsdr=37)
+    bus.script.now += bus.script.bits(1115)  # the host slept meanwhile: when the token came, it cannot tell
+    bus.script.answer(token(5, 2), tsdr=0)
+    assert bus.script.next(limit=MS, tokens=True) == b""
+    assert bus.master.status.fdl.tokens_lost == 1 and bus.script.now > heard
+    bus.script.answer(token(5, 2), tsdr=10)
+    assert bus.script.next(limit=MS, tokens=True) != b""
+
+
+def test_a_late_host_looks_so_often_that_it_can_tell():
+    bus = late_bus()
+    heard = bus.script.answer(token(2, 9), tsdr=37)
+    assert Offer(bus.master.machine, heard).wake == heard + bus.script.bits(1115) // 4
+    assert bus.script.next(limit=2 * MS, tokens=True) == b""
+    bus.script.answer(token(5, 2), tsdr=0)
+    assert bus.script.next(limit=MS, tokens=True) != b""
+    assert bus.master.status.fdl.tokens_lost == 0
+
+
+@pytest.mark.parametrize("role", [lib.DPM_ROLE_SOLE, lib.DPM_ROLE_RING, lib.DPM_ROLE_PASSIVE])
+def test_answers_to_others_tell_who_is_there(role):
+    """Bits 5 and 4 of an answer's FC are the station type, whatever it answers (protocol page C.3)."""
+    master = Master(500_000, address=5, role=role)
+    master.mode(lib.DPM_MODE_STOP)
+    script = Script(master)
+    script.answer(token(9, 2), tsdr=37)
+    script.answer("68 05 05 68 88 82 6D 3C 3E F1 16", tsdr=37)  # B.4 #17, #18
+    script.answer("68 0B 0B 68 82 88 08 3E 3C 02 05 00 FF 0A 35 D1 16", tsdr=50)
+    script.answer(status(7, 2), tsdr=37)
+    script.answer(answer(2, 7, 0x10), tsdr=50)
+    live = master.view.live
+    assert (live[8], live[7], live[2], live[9]) == (lib.DPM_LIVE_SLAVE, lib.DPM_LIVE_MASTER_NOT_READY,
+                                                  lib.DPM_LIVE_MASTER_IN_RING, lib.DPM_LIVE_UNKNOWN)
+    changed = [e.address for e in master.events() if e.kind == lib.DPM_EV_LIVE]
+    assert changed == [2, 8, 7]
+
+
+def test_nobody_where_nobody_was_is_no_event():
+    bus = Bus()
+    bus.entered()
+    bus.passed()
+    assert bus.master.view.live[6] == lib.DPM_LIVE_NONE
+    assert 6 not in [e.address for e in bus.master.events() if e.kind == lib.DPM_EV_LIVE]
+
+
+def test_who_was_passed_over_is_unknown():
+    bus = Bus()
+    bus.entered()
+    bus.passed()
+    bus.script.answer(token(2, 9), tsdr=37)
+    bus.script.answer(token(5, 2), tsdr=37)
+    bus.passed()
+    assert bus.master.view.live[9] == lib.DPM_LIVE_MASTER_IN_RING
+    bus.script.answer(token(12, 9), tsdr=37)
+    bus.script.answer(token(2, 12), tsdr=37)
+    bus.script.answer(token(5, 2), tsdr=37)
+    assert bus.passed() == token(9, 5)
+    bus.script.answer(token(2, 9), tsdr=37)  # 12 was passed over
+    assert bus.master.view.live[12] == lib.DPM_LIVE_UNKNOWN and bus.master.las == {2, 5, 9}
+
+
 # --- roles ---------------------------------------------------------------------------------------------------------------
 
 
@@ -363,6 +440,24 @@ def test_a_passive_station_never_sends_a_bit():
         script.answer(status(5, 2), tsdr=37)
         assert script.next(limit=20 * MS, tokens=True) == b""
     assert master.las == {2, 9}
+    assert script.next(limit=10 * S, tokens=True) == b""
+
+
+def test_a_passive_station_has_no_address():
+    """Nobody is a duplicate of it, and it counts rotations from wrap to wrap."""
+    master = Master(500_000, address=9, role=lib.DPM_ROLE_PASSIVE)
+    master.mode(lib.DPM_MODE_STOP)
+    script = Script(master)
+    for _ in range(4):
+        script.answer(token(9, 2), tsdr=37)
+        script.answer(token(2, 9), tsdr=37)
+    view = master.view
+    assert master.las == {2, 9} and view.rotations == 3 and view.live[9] == lib.DPM_LIVE_MASTER_IN_RING
+    assert view.trr == view.trr_min == view.trr_max == pytest.approx(script.bits(2 * (33 + 37)), abs=1000)
+    for _ in range(3):
+        script.answer(token(9, 9), tsdr=37)
+    assert master.status.fdl_state == lib.DPM_FDL_PASSIVE_IDLE and not master.view.duplicate
+    assert master.las == {9} and master.view.live[2] == lib.DPM_LIVE_UNKNOWN
     assert script.next(limit=10 * S, tokens=True) == b""
 
 

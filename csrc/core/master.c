@@ -283,6 +283,10 @@ static void master_token(void *context, int64_t now, bool held)
         return;
     lose_all(m, now);
     finish_leaving(m, now);
+    if (dpm_station_state(&m->station) == DPM_FDL_OFFLINE) { /* another station has our address */
+        make_outputs_safe(m, false, now);
+        enter_mode(m, DPM_MODE_OFFLINE, now);
+    }
 }
 
 /* --- raw requests ------------------------------------------------------------------------------------------------ */

@@ -110,8 +110,10 @@ static void finish_unanswered(dpm_station *st, int64_t now, uint8_t status)
 {
     dpm_confirm confirm = {.status = status, .tsdr = -1};
     st->fcb[st->da] = DPM_FCB_UNKNOWN;
-    if (status == DPM_CONF_NA)
+    if (status == DPM_CONF_NA) {
         st->statistics.unanswered++;
+        dpm_token_live(st, st->da, DPM_LIVE_NONE, now);
+    }
     finish(st, now, &confirm);
 }
 
@@ -171,15 +173,17 @@ static void give_way(dpm_station *st, uint8_t address, int64_t now)
 
 static void heard_token(dpm_station *st, uint8_t sa, uint8_t da, const dpm_received *rx)
 {
-    const bool ours = sa == st->config.address;
+    const bool ours = sa == st->config.address && st->config.role != DPM_ROLE_PASSIVE;
     st->statistics.foreign += !ours;
     st->foreign = ours ? st->foreign : sa;
-    if (st->config.role != DPM_ROLE_SOLE)
+    if (st->config.role != DPM_ROLE_SOLE) {
         dpm_token_heard(st, sa, da, rx);
-    else if (ours)
+    } else if (ours) {
         st->statistics.stray++; /* heard back through a port that does not know its echo */
-    else
+    } else {
+        dpm_token_live(st, sa, DPM_LIVE_MASTER_IN_RING, rx->end_latest);
         give_way(st, sa, rx->end_latest);
+    }
 }
 
 /* Whoever sends a request has the token. */
@@ -243,7 +247,9 @@ static void receive(dpm_station *st, const dpm_received *rx)
     const dpm_telegram *t = &rx->telegram;
     const bool token = t->format == DPM_SD4;
     const bool request = !token && t->format != DPM_SC && (t->fc & DPM_FC_REQUEST);
-    const bool ours = t->sa == st->config.address;
+    const bool ours = t->sa == st->config.address && st->config.role != DPM_ROLE_PASSIVE;
+    if (!token && !request && !ours && t->format != DPM_SC)
+        dpm_token_live(st, t->sa, DPM_LIVE_OF(t->fc), rx->end_latest);
     if (token && !ours && awaits_answer(st)) {
         /* SD4 has no check sequence: three octets of noise before an answer can look like one. If it was a token, no
          * answer comes, and the end of the slot says so. */
@@ -287,6 +293,7 @@ static void station_octets(dpm_machine *machine, const dpm_span *given)
     }
     while (dpm_receiver_take(&st->receiver, &span, &rx))
         receive(st, &rx);
+    st->looked = end;
 }
 
 /* The slot is over when nothing has begun in it; what has begun may end, but a babbler is not waited for. */
@@ -515,8 +522,12 @@ static int64_t silence_at(const dpm_station *st)
 {
     const int64_t unfinished = dpm_receiver_deadline(&st->receiver);
     switch (st->state) {
-    case DPM_FDL_LISTEN_TOKEN:
     case DPM_FDL_ACTIVE_IDLE:
+        /* A late host looks often enough to know, when a token comes, how old that may be. */
+        if (st->config.traits.allowance)
+            return min_of(unfinished, min_of(silence_ends(st), st->looked + st->tsl / 4));
+        return min_of(unfinished, silence_ends(st));
+    case DPM_FDL_LISTEN_TOKEN:
         return min_of(unfinished, silence_ends(st));
     case DPM_FDL_AWAIT_DATA_RESPONSE:
     case DPM_FDL_AWAIT_STATUS_RESPONSE:
@@ -564,6 +575,7 @@ static void station_ask(dpm_machine *machine, int64_t now, dpm_offer *offer)
         return;
     if (st->last_activity < 0)
         st->last_activity = now;
+    st->looked = now;
     drop_stale_token(st, now);
     drop_late_reply(st, now);
     if (st->tx_kind == DPM_TX_NONE && st->state == DPM_FDL_USE_TOKEN)

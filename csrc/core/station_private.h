@@ -36,6 +36,7 @@ struct dpm_station {
     int64_t speak_until;   /* the first telegram of a turn: behind this the predecessor takes us for gone */
     bool spoke;            /* the turn's first telegram is out */
     int64_t users_wake;    /* no user has work before this; 0: not known, ask them */
+    int64_t looked;        /* when the host was last known to be awake: what it reads now, came later */
     int64_t last_activity; /* latest end of anything on the bus, ours too; -1: nothing known yet */
     int64_t not_before;    /* Tid1 or Tid2 after it: the earliest next transmission of ours */
 
@@ -81,6 +82,11 @@ void dpm_station_event(dpm_station *station, const dpm_event *event);
 
 /* --- token.c ------------------------------------------------------------------------------------------------------ */
 
+/* What an answer's FC says of its sender: bits 5 and 4 are the station type. */
+#define DPM_LIVE_OF(fc) ((uint8_t)(DPM_LIVE_SLAVE + ((fc) >> 4 & 3)))
+
+/* What was learned about an address. */
+void dpm_token_live(dpm_station *station, uint8_t address, uint8_t live, int64_t now);
 /* Whether the station is the only active one it knows. */
 bool dpm_token_alone(const dpm_station *station);
 /* A token of another station, or one with our address that is not ours. */

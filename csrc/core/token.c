@@ -10,6 +10,8 @@
 #define TOKEN_TRIES 3 /* one and two repetitions, then the successor is out of the list */
 #define STATUS_CODE 0x3F
 
+static int64_t min_of(int64_t a, int64_t b) { return a < b ? a : b; }
+
 static int64_t max_of(int64_t a, int64_t b) { return a > b ? a : b; }
 
 /* --- the list of active stations --------------------------------------------------------------------------------- */
@@ -37,14 +39,16 @@ static uint8_t neighbour(const uint8_t *las, uint8_t address, unsigned step)
     return at;
 }
 
-static void set_live(dpm_station *st, uint8_t address, uint8_t live, int64_t now)
+void dpm_token_live(dpm_station *station, uint8_t address, uint8_t live, int64_t now)
 {
-    const uint8_t old = st->ring.live[address];
+    const uint8_t old = station->ring.live[address];
     if (old == live)
         return;
-    st->ring.live[address] = live;
+    station->ring.live[address] = live;
+    if (old == DPM_LIVE_UNKNOWN && live == DPM_LIVE_NONE)
+        return; /* nobody came and nobody went */
     const dpm_event event = {.time = now, .kind = DPM_EV_LIVE, .address = address, .a = live, .b = old};
-    dpm_station_event(st, &event);
+    dpm_station_event(station, &event);
 }
 
 static void find_neighbours(dpm_station *st)
@@ -54,11 +58,13 @@ static void find_neighbours(dpm_station *st)
 }
 
 /* "Everything strictly between SA and DA is not active": such stations have been passed over. */
-static void clear_between(dpm_station *st, uint8_t sa, uint8_t da)
+static void clear_between(dpm_station *st, uint8_t sa, uint8_t da, int64_t now)
 {
     for (uint8_t address = 0; address <= DPM_ADDRESS_MAX; address++)
-        if (address != st->ring.ts && between(sa, address, da))
+        if (address != st->ring.ts && has(st->ring.las, address) && between(sa, address, da)) {
             drop(st->ring.las, address);
+            dpm_token_live(st, address, DPM_LIVE_UNKNOWN, now); /* out of the ring, perhaps still there */
+        }
 }
 
 static void begin_gap(dpm_station *st)
@@ -81,15 +87,39 @@ void dpm_token_listen(dpm_station *station, int64_t now)
     station->ready = false;
     station->own_heard = 0;
     station->stranger = -1;
+    station->ring.duplicate = false;
     dpm_station_enter(station, DPM_FDL_LISTEN_TOKEN, now);
 }
 
+static void count_rotation(dpm_station *st, int64_t now)
+{
+    const int64_t trr = now - st->token_at;
+    st->ring.trr = trr;
+    st->ring.trr_min = !st->ring.rotations || trr < st->ring.trr_min ? trr : st->ring.trr_min;
+    st->ring.trr_max = max_of(trr, st->ring.trr_max);
+    st->ring.rotations++;
+    st->token_at = now;
+}
+
+/* A passive station has no turn: to it a rotation is from one wrap of the addresses to the next. */
+static void watch(dpm_station *st, int64_t now)
+{
+    for (uint8_t address = 0; address <= DPM_ADDRESS_MAX; address++)
+        if (has(st->ring.las, address) && !has(st->seen, address))
+            dpm_token_live(st, address, DPM_LIVE_UNKNOWN, now);
+    if (st->listened)
+        count_rotation(st, now);
+    st->token_at = now;
+}
+
 /* A rotation ends where the addresses wrap round. The list counts once it was the same in two of them. */
-static void listen(dpm_station *st, uint8_t sa, uint8_t da)
+static void listen(dpm_station *st, uint8_t sa, uint8_t da, int64_t now)
 {
     add(st->seen, sa);
     if (da > sa)
         return;
+    if (st->state == DPM_FDL_PASSIVE_IDLE)
+        watch(st, now);
     st->ready = st->listened && !memcmp(st->seen, st->ring.las, sizeof st->seen);
     memcpy(st->ring.las, st->seen, sizeof st->seen);
     memset(st->seen, 0, sizeof st->seen);
@@ -110,6 +140,7 @@ static void heard_own(dpm_station *st, int64_t now)
         dpm_token_listen(st, now);
         return;
     }
+    st->ring.duplicate = true;
     const dpm_event event = {.time = now, .kind = DPM_EV_DUPLICATE, .address = st->ring.ts};
     dpm_station_event(st, &event);
     dpm_station_drop_token(st, DPM_FDL_OFFLINE, now, true);
@@ -119,15 +150,12 @@ static void heard_own(dpm_station *st, int64_t now)
 static void accept(dpm_station *st, const dpm_received *rx)
 {
     const int64_t now = rx->end_latest;
-    const int64_t trr = now - st->token_at;
     const int64_t ttr = dpm_bits_down(&st->config.parameters, st->config.parameters.ttr);
-    st->ring.trr = trr;
-    st->ring.trr_min = !st->ring.rotations || trr < st->ring.trr_min ? trr : st->ring.trr_min;
-    st->ring.trr_max = max_of(trr, st->ring.trr_max);
-    st->ring.rotations++;
-    st->token_at = now;
-    st->hold_until = now + max_of(ttr - trr, 0);
-    st->speak_until = rx->end_earliest + st->tsl;
+    count_rotation(st, now);
+    st->hold_until = now + max_of(ttr - st->ring.trr, 0);
+    /* A host that wakes late cannot tell when it came, only that it was not there at the last look. */
+    const bool late = st->config.traits.allowance > 0;
+    st->speak_until = (late ? min_of(rx->end_earliest, st->looked) : rx->end_earliest) + st->tsl;
     st->spoke = false;
     st->stranger = -1;
     st->passes = 0;
@@ -142,7 +170,7 @@ static void token_for_us(dpm_station *st, uint8_t sa, const dpm_received *rx)
         st->stranger = sa;
         return;
     }
-    clear_between(st, sa, st->ring.ts);
+    clear_between(st, sa, st->ring.ts, rx->end_latest);
     add(st->ring.las, sa);
     find_neighbours(st);
     st->ring.ps = sa;
@@ -158,23 +186,24 @@ static void follow(dpm_station *st, uint8_t sa, uint8_t da, int64_t now)
         return;
     }
     if (sa != da)
-        clear_between(st, sa, da);
+        clear_between(st, sa, da, now);
     find_neighbours(st);
 }
 
 void dpm_token_heard(dpm_station *station, uint8_t sa, uint8_t da, const dpm_received *received)
 {
     const int64_t now = received->end_latest;
-    if (sa == station->ring.ts) {
+    const bool passive = station->state == DPM_FDL_PASSIVE_IDLE; /* its address is nobody's */
+    if (sa == station->ring.ts && !passive) {
         heard_own(station, now);
         return;
     }
     station->own_heard = 0;
-    set_live(station, sa, DPM_LIVE_MASTER_IN_RING, now);
+    dpm_token_live(station, sa, DPM_LIVE_MASTER_IN_RING, now);
     switch (station->state) {
     case DPM_FDL_PASSIVE_IDLE:
     case DPM_FDL_LISTEN_TOKEN:
-        listen(station, sa, da);
+        listen(station, sa, da, now);
         return;
     case DPM_FDL_CLAIM_TOKEN:
     case DPM_FDL_USE_TOKEN:
@@ -322,7 +351,7 @@ void dpm_token_poll_answered(dpm_station *station, uint8_t address, uint8_t fc, 
     if (station->state != DPM_FDL_AWAIT_STATUS_RESPONSE || address != station->gap_at || (fc & STATUS_CODE) != type)
         return;
     station->state = DPM_FDL_PASS_TOKEN;
-    set_live(station, address, (uint8_t)(DPM_LIVE_SLAVE + (type >> 4)), now);
+    dpm_token_live(station, address, (uint8_t)(DPM_LIVE_SLAVE + (type >> 4)), now);
     if (type == DPM_TYPE_MASTER_READY || type == DPM_TYPE_MASTER_IN_RING) {
         add(station->ring.las, address);
         find_neighbours(station);
@@ -333,12 +362,12 @@ void dpm_token_poll_answered(dpm_station *station, uint8_t address, uint8_t fc, 
 void dpm_token_slot_over(dpm_station *station, int64_t now)
 {
     if (station->state == DPM_FDL_AWAIT_STATUS_RESPONSE) {
-        set_live(station, station->gap_at, DPM_LIVE_NONE, now);
+        dpm_token_live(station, station->gap_at, DPM_LIVE_NONE, now);
         station->state = DPM_FDL_PASS_TOKEN;
         return;
     }
     if (station->passes >= TOKEN_TRIES) {
-        set_live(station, station->ring.ns, DPM_LIVE_NONE, now);
+        dpm_token_live(station, station->ring.ns, DPM_LIVE_NONE, now);
         drop(station->ring.las, station->ring.ns);
         find_neighbours(station);
         station->passes = 0;

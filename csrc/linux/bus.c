@@ -443,6 +443,18 @@ int dpm_bus_get_status(dpm_bus *bus, dpm_master_status *status)
     return on_master(bus, do_get_status, (arguments){.out = status});
 }
 
+static int do_get_ring(void *master, void *data)
+{
+    const arguments *a = data;
+    dpm_station_get_ring(dpm_master_station(master), a->out);
+    return DPM_OK;
+}
+
+int dpm_bus_get_ring(dpm_bus *bus, dpm_ring_view *view)
+{
+    return on_master(bus, do_get_ring, (arguments){.out = view});
+}
+
 static int do_get_slave(void *master, void *data)
 {
     const arguments *a = data;

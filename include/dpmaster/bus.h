@@ -45,6 +45,7 @@ DPM_API int dpm_bus_set_mode(dpm_bus *bus, int mode);
 DPM_API int dpm_bus_request(dpm_bus *bus, dpm_raw *raw);
 DPM_API int dpm_bus_cancel(dpm_bus *bus, dpm_raw *raw);
 DPM_API int dpm_bus_get_status(dpm_bus *bus, dpm_master_status *status);
+DPM_API int dpm_bus_get_ring(dpm_bus *bus, dpm_ring_view *view);
 DPM_API int dpm_bus_get_slave(dpm_bus *bus, int index, dpm_slave_status *status);
 DPM_API int dpm_bus_record(dpm_bus *bus, int64_t *durations, size_t n);
 

@@ -38,9 +38,9 @@ enum dpm_role {
     DPM_ROLE_PASSIVE    /* listens only */
 };
 
-/* What an address answered to FDL status last. */
+/* What is known of an address by its last answer, to whomever, or by its token. */
 enum dpm_live {
-    DPM_LIVE_UNKNOWN = 0,     /* not asked yet */
+    DPM_LIVE_UNKNOWN = 0,     /* not asked yet, or gone out of the ring */
     DPM_LIVE_NONE,
     DPM_LIVE_SLAVE,
     DPM_LIVE_MASTER_NOT_READY,
@@ -54,8 +54,9 @@ typedef struct dpm_ring_view {
     uint8_t ts;               /* this station */
     uint8_t ns;               /* the next one; ts: alone */
     uint8_t ps;               /* the previous one */
-    uint8_t live[128];        /* enum dpm_live, by address: what our GAP polls and the tokens heard tell */
-    uint64_t rotations;       /* times the token came */
+    bool duplicate;           /* another station has our address: the bus was left */
+    uint8_t live[128];        /* enum dpm_live, by address: what our requests and all that is heard tell */
+    uint64_t rotations;       /* times the token came; passive: rotations seen */
     int64_t trr;              /* ns, the last real rotation time, 0 none yet */
     int64_t trr_min;
     int64_t trr_max;
