@@ -18,6 +18,8 @@ from dpmaster.errors import (
     StationError,
 )
 from dpmaster.events import Event, EventKind, Events
+from dpmaster.listener import Listener
+from dpmaster.live import Live, LiveEntry, RingView
 from dpmaster.master import Answer, Master, MasterStatistics, Mode, Service
 from dpmaster.parameters import BusParameters
 from dpmaster.station import Frame, Station, StationState, StationStatistics
@@ -37,6 +39,9 @@ __all__ = [
     "EventKind",
     "Events",
     "Frame",
+    "Listener",
+    "Live",
+    "LiveEntry",
     "Master",
     "MasterStatistics",
     "Mode",
@@ -44,6 +49,7 @@ __all__ = [
     "OutputsDiscarded",
     "ParameterAccessError",
     "PortError",
+    "RingView",
     "Service",
     "Station",
     "StationError",

@@ -210,6 +210,13 @@ class Bus:
         self._call(lib.dpm_bus_get_status(self._handle, status), "read the master's status")
         return status
 
+    def ring(self) -> Any:
+        """A ``dpm_ring_view``."""
+        self.guard()
+        view = ffi.new("dpm_ring_view *")
+        self._call(lib.dpm_bus_get_ring(self._handle, view), "read the ring")
+        return view
+
     def slave(self, index: int) -> Any:
         """A ``dpm_slave_status``."""
         self.guard()

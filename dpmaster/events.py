@@ -23,14 +23,12 @@ from dpmaster._names import Named
 from dpmaster.bus import FdlState, Feed, Mode
 from dpmaster.diagnosis import Reason, StationState
 from dpmaster.errors import ClosedError, ConfigurationError
+from dpmaster.live import Live
 
 if TYPE_CHECKING:
     from dpmaster.bus import Bus
 
 __all__ = ["Event", "EventKind", "Events"]
-
-
-_LIVE = ("unknown", "nobody", "slave", "master, not ready", "master, ready", "master in the ring")  # enum dpm_live
 
 
 class EventKind(Named):
@@ -86,9 +84,9 @@ class Event:
             case EventKind.PORT:
                 return "port works" if not self.a else f"port: {_core.error(self.a)}"
             case EventKind.DUPLICATE:
-                return "another station has this address too; the bus was left"
+                return "another station on the bus has this address, which is ours: the bus was left"
             case EventKind.LIVE:
-                return f"live list: {_LIVE[self.b]} -> {_LIVE[self.a]}"
+                return f"live list: {Live(self.b).text} -> {Live(self.a).text}"
 
 
 class Events:

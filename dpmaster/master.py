@@ -25,9 +25,10 @@ from dpmaster.bus import Bus, FdlState, Feed, Mode, PortStatistics
 from dpmaster.diagnosis import StationState, why
 from dpmaster.errors import ConfigurationError, DPError, DPTimeout, NotOperatingError, StationError
 from dpmaster.events import Event, EventKind, Events
+from dpmaster.live import HIGHEST, LiveEntry, LiveList, RingView
 from dpmaster.parameters import BusParameters
 from dpmaster.station import Station
-from dpmaster.timing import Slave, cycle, default_watchdog, tsl_needed
+from dpmaster.timing import TSL_MAX, WATCHDOG_MAX, Slave, cycle, default_watchdog, tsl_needed
 
 __all__ = ["Answer", "Master", "MasterStatistics", "Mode", "Service"]
 
@@ -109,6 +110,8 @@ class MasterStatistics:
     foreign_telegrams: int
     send_failed: int
     tokens_lost: int
+    token_repetitions: int
+    gap_polls: int
     rejected: Mapping[str, int]
     port: PortStatistics
 
@@ -138,13 +141,18 @@ class Master:
     profile: "uart", "usb", "pty", None: by the path. allowance: s that the host may wake late, None: the profile's.
     max_stations: 1..126.
 
+    ring: whether it shares the bus with other masters. None: if Tsl has room for a host that wakes so late, which
+    `BusParameters.for_ring` sees to, else alone, and silent while another master has the bus. True: it must, or
+    ConfigurationError names the Tsl needed; all masters of a ring need the same bus parameters. False: alone.
+
     Use it with ``with``, or call close(). Raises PortError with path, reason and remedy, ConfigurationError.
     All methods may be called from any thread. After close(), and in a forked child, every call raises ClosedError.
     """
 
     def __init__(self, port: str, baudrate: int = 500_000, address: int = 1, *, parameters: BusParameters | None = None,
                  cycle_time: float | None = None, output_watchdog: float | None = 1.0, echo: bool | None = None,
-                 profile: str | None = None, allowance: float | None = None, max_stations: int = 126) -> None:
+                 profile: str | None = None, allowance: float | None = None, max_stations: int = 126,
+                 ring: bool | None = None) -> None:
         _arguments.whole("the master's address", address, 0, lib.DPM_ADDRESS_MAX)
         _arguments.whole("max_stations", max_stations, 1, 126)
         if cycle_time is not None:
@@ -153,6 +161,8 @@ class Master:
             _arguments.seconds("output_watchdog", output_watchdog, 3600.0, ", or None for no watchdog")
         if parameters is not None and not isinstance(parameters, BusParameters):
             raise ConfigurationError(f"parameters {parameters!r}: give BusParameters, or None for the standard set")
+        if ring not in (None, False, True):
+            raise ConfigurationError(f"ring {ring!r}: True, False, or None: if Tsl has room for it")
         self.address = address
         self.cycle_time = cycle_time
         self.output_watchdog = output_watchdog
@@ -167,6 +177,13 @@ class Master:
         self._logger: threading.Thread | None = None
         rate = self._parameters.rate
         self._bus = Bus(port, (rate.numerator, rate.denominator), echo=echo, profile=profile, allowance=allowance)
+        self._ring = ring
+        self._live_list = LiveList(self)
+        try:
+            self._role(self._parameters)
+        except BaseException:
+            self._bus.close()
+            raise
         _live.add(self)
 
     def __repr__(self) -> str:
@@ -190,6 +207,7 @@ class Master:
         with self._lock:
             self._check_room(station)
             parameters = self._fitting(station)
+            self._role(parameters)
             station._attach(self)
             self._stations[station.address] = station
             self._parameters = parameters
@@ -226,16 +244,33 @@ class Master:
         """Parameters with Tsl for this station too: "Tsl = max(table, largest MaxTsdr on the bus + 15)"."""
         rate = self._parameters.rate
         slowest = Slave.of(station).tsdr(rate) or 0
-        needed = tsl_needed(self._parameters, slowest)
+        needed = tsl_needed(self._parameters, slowest, self._bus.allowance if self._ring else 0.0)
         fixed = self._given is not None or self._bus.master is not None
         if needed <= self._parameters.tsl and (fixed or slowest <= self._parameters.max_tsdr):
             return self._parameters
         if fixed:
             began = "given:" if self._given is not None else "of a bus that has begun: add it before that, or"
+            late = " and what the host may be late" if self._ring else ""
             raise ConfigurationError(
-                f"{station.name} needs Tsl {needed} (its MaxTsdr {slowest} + 15), and Tsl is {self._parameters.tsl} in "
+                f"{station.name} needs Tsl {needed} (its MaxTsdr {slowest} + 15{late}), and Tsl is {self._parameters.tsl} in "
                 f"the parameters {began} pass parameters= with a larger Tsl")
         return self._choose(slowest)
+
+    def _role(self, parameters: BusParameters) -> int:
+        """How it takes part: "max Tsdr + 15 + allowance > Tsl does not enter, and the error names the Tsl needed"."""
+        needed = parameters.ring_tsl(self._bus.allowance)
+        if self._ring is not False and needed <= parameters.tsl:
+            return int(lib.DPM_ROLE_RING)
+        if self._ring:
+            raise ConfigurationError(
+                f"ring=True: the host behind {self._bus.path} may wake {self._bus.allowance * 1000:g} ms late, so the ring "
+                f"needs Tsl {needed}, and Tsl is {parameters.tsl}: give all its masters parameters=BusParameters.for_ring("
+                f"baudrate, allowance={self._bus.allowance:g}), or take a port that wakes sooner")
+        return int(lib.DPM_ROLE_SOLE)
+
+    @property
+    def _in_ring(self) -> bool:
+        return self._role(self._parameters) == int(lib.DPM_ROLE_RING)
 
     # ---- the start
 
@@ -248,6 +283,7 @@ class Master:
             config = ffi.new("dpm_master_config *")
             config.station.parameters = self._parameters.to_c()[0]
             config.station.address = self.address
+            config.station.role = self._role(self._parameters)
             config.slaves = self._room
             config.cycle_time = round((self.cycle_time or 0) * NS)
             config.output_watchdog = math.ceil((self.output_watchdog or 0) * NS)  # 0 is off
@@ -270,8 +306,12 @@ class Master:
 
     def _default_watchdog(self) -> float:
         slaves = [Slave.of(station) for station in self.stations if station.active]
-        return default_watchdog(cycle(self._parameters, slaves, allowance=self._bus.allowance, cycle_time=self.cycle_time,
-                                      usual=self._choose(0).max_tsdr))
+        ring = self._in_ring
+        predicted = cycle(self._parameters, slaves, allowance=self._bus.allowance, cycle_time=self.cycle_time, ring=ring,
+                          usual=self._choose(0).max_tsdr)
+        seconds = default_watchdog(predicted)
+        # Nobody knows who will share the bus, but only that they keep the token for Ttr together.
+        return min(seconds + self._parameters.seconds(self._parameters.ttr), WATCHDOG_MAX) if ring else seconds
 
     def _settle_watchdogs(self) -> None:
         """Ten cycles of the stations there are now; what changed goes out with a station's next Set_Prm."""
@@ -374,9 +414,15 @@ class Master:
 
         def ready() -> bool | None:
             self._bus.check_port()
+            self._check_address()
             return None if any(map(absent, self.stations)) else True
 
         return [] if self._bus.wait(ready, timeout) else list(filter(absent, self.stations))
+
+    def _check_address(self) -> None:
+        if self._bus.ring().duplicate:
+            raise StationError(f"another station on the bus has address {self.address}, which is this master's: the bus was "
+                               "left; give one of them another", address=self.address, reason="has the master's own address")
 
     def _missing_error(self, missing: list[Station], timeout: float | None) -> DPError:
         refusing = [station for station in missing if station._refuses()]
@@ -386,9 +432,15 @@ class Master:
             others = (str(station.address) for station in missing if station not in named)
             lines += f"; and the stations at {', '.join(others)}"
         text = f"{len(missing)} of {len(self.stations)} stations not in Data_Exchange after {timeout} s: {lines}"
-        foreign = self._status().foreign
-        if foreign >= 0:
-            text += f"; master {foreign} is on this bus, and only one master at a time is supported"
+        status = self._status()
+        if status.foreign >= 0 and status.fdl_state == FdlState.LISTEN_TOKEN:
+            text += f"; master {status.foreign} has the bus"
+            if not self._in_ring:
+                text += ", and this one is silent beside it"
+                needed = self._parameters.ring_tsl(self._bus.allowance)
+                if needed <= TSL_MAX:
+                    text += (": with ring=True and the same parameters=BusParameters.for_ring(...) in all masters, "
+                             f"Tsl {needed} or more, they would share it")
         if refusing:
             return StationError(text, address=refusing[0].address, reason=refusing[0].reason)
         return DPTimeout(text)
@@ -431,6 +483,30 @@ class Master:
         self._bus.guard()
         return Events(self._bus, size)
 
+    @property
+    def ring(self) -> RingView:
+        """The token ring as this master sees it. Raises NotOperatingError before the bus has begun, ClosedError."""
+        self._begun()
+        return RingView.of(self._bus.ring())
+
+    def live_list(self, *, identify: bool = False, refresh: bool = False, highest: int = HIGHEST,
+                  timeout: float | None = 60.0) -> Mapping[int, LiveEntry]:
+        """Who is on the bus, by address up to `highest` (0..126), without this master.
+
+        Addresses of which nothing is known are asked for their FDL status, with `refresh` all of them; `identify` asks slaves
+        for their ident number, which disturbs no other master. That takes turns with the bus cycle; while stations exchange, it
+        leaves nine tenths of the time to them. What `timeout` s do not suffice for, or another master prevents, stays unknown.
+        Begins on the bus in Stop if it has not begun. Raises PortError, ClosedError.
+        """
+        _arguments.whole("highest", highest, 0, HIGHEST)
+        self._start()
+        if self.mode == Mode.OFFLINE:
+            self._bus.set_mode(Mode.STOP)
+        known = self._live_list.read(self._bus.ring(), highest)
+        self._live_list.ask(known, identify=identify, refresh=refresh, timeout=timeout)
+        self._bus.check_port()
+        return self._live_list.read(self._bus.ring(), highest)
+
     def request(self, address: int, service: str | Service = Service.SRD, dsap: int | None = None, ssap: int | None = None,
                 data: bytes = b"", timeout: float | None = 1.0) -> Answer:
         """Carry out one FDL service by hand, between the cycle's own telegrams, or in Stop on a bus that is otherwise idle.
@@ -456,8 +532,8 @@ class Master:
         return MasterStatistics(
             status.cycle, status.cycle_last / NS, status.cycle_max / NS, FdlState(status.fdl_state),
             None if status.foreign < 0 else status.foreign, fdl.requests, fdl.answers, fdl.repetitions, fdl.unanswered, fdl.sdn,
-            fdl.tokens, fdl.late_dropped, fdl.stray, fdl.foreign, fdl.send_failed, fdl.tokens_lost, rejected,
-            self._bus.statistics())
+            fdl.tokens, fdl.late_dropped, fdl.stray, fdl.foreign, fdl.send_failed, fdl.tokens_lost, fdl.token_repetitions,
+            fdl.gap_polls, rejected, self._bus.statistics())
 
     # ---- the end
 
@@ -565,6 +641,10 @@ def _log_event(event: Event, station: Station | None, told: dict[int, set[tuple[
             log.info("%s", event)
         case EventKind.FOREIGN | EventKind.WATCHDOG:
             log.warning("%s", event)
+        case EventKind.DUPLICATE:
+            log.error("%s; give one of them another, then operate() again", event)
+        case EventKind.LIVE:
+            log.info("%s", event)
         case EventKind.PORT:
             log.log(logging.ERROR if event.a else logging.INFO, "%s", event)
         case _:

@@ -7,11 +7,12 @@ are done by the C library (csrc/core/parameters.c); this file gives them names a
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from fractions import Fraction
 from typing import Any
 
-from dpmaster._core import ffi, lib
+from dpmaster._arguments import seconds
+from dpmaster._core import NS, ffi, lib
 from dpmaster.errors import ConfigurationError
 
 __all__ = ["BAUDRATES", "BusParameters"]
@@ -26,6 +27,8 @@ def _baudrates() -> tuple[int, ...]:
 
 BAUDRATES = _baudrates()
 """The nominal rates, bit/s, lowest first. 45450 stands for 45.45 kbit/s, which is 500000/11."""
+
+TSL_MAX = 16_383  # Tbit
 
 _STANDARD_SET = "BusParameters.default(baudrate) gives the standard set"
 _REMEDY = {
@@ -85,6 +88,27 @@ class BusParameters:
         parameters = cls(rate=Fraction(c.rate_num, c.rate_den), **values)
         parameters.check()
         return parameters
+
+    @classmethod
+    def for_ring(cls, baudrate: int, max_tsdr: int = 0, *, allowance: float) -> BusParameters:
+        """The standard set with a Tsl that has room for a host which wakes up to `allowance` s late.
+
+        A master enters a ring only with such a Tsl, and all masters of the ring need the same. Raises `ConfigurationError` as
+        `default`, and where no Tsl is long enough.
+        """
+        standard = cls.default(baudrate, max_tsdr)
+        tsl = standard.ring_tsl(allowance)
+        if tsl > TSL_MAX:
+            raise ConfigurationError(
+                f"allowance {allowance} s: in a ring it takes Tsl {tsl} at {baudrate} bit/s, and {TSL_MAX} is the most; take a "
+                "lower rate, a port that wakes sooner, or stay the only master")
+        return replace(standard, tsl=max(tsl, standard.tsl))
+
+    def ring_tsl(self, allowance: float) -> int:
+        """Tsl, Tbit, that a ring needs for a host which wakes up to `allowance` s late: max Tsdr + 15 + allowance."""
+        if allowance:
+            seconds("allowance", allowance, 1, ", or 0")
+        return int(lib.dpm_ring_tsl(self.to_c(), round(allowance * NS)))
 
     def check(self, address: int = 0) -> None:
         """Raise `ConfigurationError`, naming parameter, value, rule and remedy, if a master at `address` cannot use the set."""

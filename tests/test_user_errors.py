@@ -337,8 +337,8 @@ def test_too_early(master: Master) -> None:
 
 
 def test_two_objects_on_one_wire_that_are_both_masters(wire: Segment, drive: YaskawaV7) -> None:
-    """Not a ring yet: the one that hears a foreign token gives way, and says so."""
+    """Their Tsl has no room for a ring: the one that hears a foreign token gives way, and says so."""
     with Master(wire.port(), address=2) as second:
         second.add(Station(9, 1, CONFIGURATION))
-        refused(DPTimeout, "station 9 (address 9)|master 1 is on this bus|only one master", second.operate, timeout=0.5)
+        refused(DPTimeout, "station 9 (address 9)|master 1 has the bus|ring=True|for_ring|Tsl", second.operate, timeout=0.5)
     assert drive.state is StationState.DATA
