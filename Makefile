@@ -92,9 +92,11 @@ demo: $(VENV)/.built
 test: $(VENV)/.built $(VENV)/.test
 	$(PY) -m pytest $(ARGS)
 
-# Longer proofs than a change has to wait for: 10 000 random rings, 10 000 cycles of a single master at each rate.
+# Longer proofs than a change has to wait for: 10 000 random rings, 10 000 cycles of a single master at each rate, and a
+# minute of two masters side by side on ptys.
 soak: $(VENV)/.built $(VENV)/.test
 	DPM_SOAK_RUNS=10000 DPM_SOAK_CYCLES=10000 $(PY) -m pytest --capture=no tests/test_ring_soak.py $(ARGS)
+	DPM_RING_SECONDS=60 $(PY) -m pytest --timeout=600 tests/test_ring_pty.py
 
 bench: $(VENV)/.built $(VENV)/.bench
 	$(PY) tests/bench/bench.py $(ARGS)

@@ -4,8 +4,8 @@
 Our master is given the recorded slave's parameters and the recorded slave's answers, at the recorded Tsdr; what it sends is
 compared with the recording octet by octet. Where it lawfully differs:
 
-- The S7 polls a GAP address after each token and broadcasts its bus parameters (SDN to SAP 63) every 7 s. A sole master
-  has no GAP to look after yet, and the broadcast is for FDL stations that take parameters from others: nobody here does.
+- The S7 broadcasts its bus parameters (SDN to SAP 63) every 7 s, for FDL stations that take parameters from others:
+  nobody here does. In these replays ours is a sole master, which looks after no GAP; the GAP scan has a test of its own.
 - The S7 sends one telegram per token. Ours asks every slave of the cycle with one token.
 - Global_Control is repeated at times of each master's own, by both; and ours tells its mode again as soon as a slave has
   joined. A repetition of the same command says nothing new, so only changes of the command are compared.
@@ -326,3 +326,24 @@ def test_services_by_hand(function: str, dsap: int, request_: str, fc: int, data
     script.answer(answered.octets, tsdr=answered.idle)
     assert raw.done and (raw.status, raw.fc, raw.tries) == (lib.DPM_CONF_ANSWER, fc, 1)
     assert bytes(raw.answer[0 : raw.answer_length]) == octets(data)
+
+
+def test_the_cold_start_in_the_ring_is_the_s7s_claim_and_gap_scan():
+    """Two tokens to itself, then one GAP poll per token over all addresses; idle 37 behind a token, Tsl behind a poll that
+    nobody answers (protocol page E.1, E.3). The S7 sends a third token and its bus parameters before it polls."""
+    recording = [line for line in recorded(S7) if line.octets[0] in (0xDC, 0x10) and not line.slave][3:200]
+    assert [line.octets[0] for line in recording[:4]] == [0x10, 0xDC, 0x10, 0xDC]
+    master = Master(RATE, address=2, role=lib.DPM_ROLE_RING)
+    master.mode(lib.DPM_MODE_STOP)
+    script = Script(master)
+    assert script.next(tokens=True) == script.next(tokens=True) == octets("DC 02 02")
+    scan = [line for line in recording if line.octets[1] != SLAVE][:90]
+    for n, line in enumerate(scan):
+        end = script.last.end
+        telegram = script.next(tokens=True)
+        if telegram[0] == 0x10 and telegram[1] == SLAVE:  # the one that answers in the recording
+            end = script.answer(bytes([0x10, 2, SLAVE, 0, 2 + SLAVE, 0x16]), tsdr=11.5)
+            telegram = script.next(tokens=True)
+        assert telegram == line.octets, n
+        if n and line.octets[0] == 0xDC and scan[n - 1].octets[1] != SLAVE - 1:
+            assert script.idle_bits(end) == pytest.approx(line.idle, abs=2), line

@@ -415,6 +415,20 @@ def test_who_was_passed_over_is_unknown():
     assert bus.master.view.live[12] == lib.DPM_LIVE_UNKNOWN and bus.master.las == {2, 5, 9}
 
 
+def test_ident_is_answered_and_closed_services_are_refused():
+    """B.4 #40 asks for Ident; four lengths and the texts. SDA and LSAP status: no SAP is open."""
+    bus = Bus()
+    bus.script.next(limit=bus.script.bits(50))
+    bus.script.answer(bytes([0x10, 5, 2, 0x4E, 0x55, 0x16]), tsdr=37)
+    told = bus.script.next(limit=bus.script.bits(120))
+    assert told[4:7] == bytes([2, 5, 0x18]), "DL, from a master that is not ready"
+    lengths, texts = told[7:11], told[11:-2]
+    assert sum(lengths) == len(texts) and texts[: lengths[0]] == b"dpmaster"
+    for fc in (0x4F, 0x65, 0x43, 0x6D):  # LSAP status, SDA high and low, SRD
+        bus.script.answer(bytes([0x68, 4, 4, 0x68, 5, 2, fc, 1, (8 + fc) & 0xFF, 0x16]), tsdr=60)
+        assert bus.script.next(limit=bus.script.bits(120)) == answer(2, 5, 0x13)
+
+
 # --- roles ---------------------------------------------------------------------------------------------------------------
 
 

@@ -197,18 +197,21 @@ static void heard_request(dpm_station *st, const dpm_telegram *t, int64_t now)
         dpm_station_drop_token(st, DPM_FDL_ACTIVE_IDLE, now, false);
 }
 
-/* Requests to us: FDL status is answered in every state; no SAP is open. SDN is never answered. */
+/* Requests to us: FDL status is answered in every state, Ident with who we are (four lengths: vendor, controller, hardware
+ * and software release, then the texts); no SAP is open, so SRD, SDA and LSAP status get RS. SDN is never answered. */
 static void reply(dpm_station *st, const dpm_received *rx)
 {
+    static const uint8_t identity[] = {8, 3, 0, 0, 'd', 'p', 'm', 'a', 's', 't', 'e', 'r', 'F', 'D', 'L'};
     const dpm_telegram *t = &rx->telegram;
-    const bool status = FC_CODE(t->fc) == DPM_FDL_STATUS;
+    const bool status = FC_CODE(t->fc) == DPM_FDL_STATUS, ident = FC_CODE(t->fc) == DPM_IDENT;
     const uint8_t type = st->config.role == DPM_ROLE_SOLE ? DPM_TYPE_MASTER_NOT_READY : dpm_token_status(st);
     const dpm_telegram answer = {
-        .format = DPM_SD1,
         .da = t->sa,
         .sa = st->config.address,
-        .fc = (uint8_t)(type | (status ? DPM_RES_OK : DPM_RES_RS)),
+        .fc = (uint8_t)(type | (status ? DPM_RES_OK : ident ? DPM_RES_DL : DPM_RES_RS)),
         .dsap = DPM_NO_SAP, .ssap = DPM_NO_SAP, .dsegment = -1, .ssegment = -1,
+        .length = ident ? sizeof identity : 0,
+        .data = identity,
     };
     const int n = dpm_encode(&answer, st->tx, sizeof st->tx);
     if (n < 0)
@@ -500,7 +503,7 @@ static int64_t use_token_alone(dpm_station *st, int64_t now)
     }
     if (st->tx_kind != DPM_TX_NONE || st->state != DPM_FDL_USE_TOKEN)
         return now;
-    if (!st->worked && st->users_wake > now && now < idle_end)
+    if (!st->worked && st->users_wake > now && now < idle_end && !dpm_token_gap_is_due(st, now))
         return min_of(st->users_wake, idle_end);
     st->state = DPM_FDL_PASS_TOKEN;
     return now;

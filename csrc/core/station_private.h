@@ -96,6 +96,8 @@ uint8_t dpm_token_status(dpm_station *station);
 void dpm_token_status_told(dpm_station *station, int64_t now);
 /* Silence for Tto: claim the token. */
 void dpm_token_claim(dpm_station *station, int64_t now);
+/* Whether this token may carry a GAP poll. */
+bool dpm_token_gap_is_due(const dpm_station *station, int64_t now);
 /* In Pass_Token: put the GAP poll or the token into tx. */
 void dpm_token_make(dpm_station *station, int64_t now);
 /* Our token, or our GAP poll, is out. */

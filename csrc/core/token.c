@@ -308,17 +308,17 @@ static int next_of_gap(dpm_station *st, int64_t now)
 }
 
 /* One address per token, in the time that is left. */
-static bool gap_is_due(const dpm_station *st, int64_t now)
+bool dpm_token_gap_is_due(const dpm_station *station, int64_t now)
 {
-    if (st->config.role != DPM_ROLE_RING || st->gap_polled || st->passes || now < st->gap_wait)
+    if (station->config.role != DPM_ROLE_RING || station->gap_polled || station->passes || now < station->gap_wait)
         return false;
-    return dpm_token_alone(st) || now < st->hold_until;
+    return dpm_token_alone(station) || now < station->hold_until;
 }
 
 void dpm_token_make(dpm_station *station, int64_t now)
 {
     const bool claiming = station->state == DPM_FDL_CLAIM_TOKEN;
-    const int address = !claiming && gap_is_due(station, now) ? next_of_gap(station, now) : -1;
+    const int address = !claiming && dpm_token_gap_is_due(station, now) ? next_of_gap(station, now) : -1;
     const dpm_telegram poll = {.format = DPM_SD1, .da = (uint8_t)address, .sa = station->ring.ts,
                                .fc = DPM_FC_REQUEST | DPM_FDL_STATUS, .dsap = DPM_NO_SAP, .ssap = DPM_NO_SAP,
                                .dsegment = -1, .ssegment = -1};
