@@ -364,6 +364,11 @@ void dpm_token_slot_over(dpm_station *station, int64_t now)
     if (station->state == DPM_FDL_AWAIT_STATUS_RESPONSE) {
         dpm_token_live(station, station->gap_at, DPM_LIVE_NONE, now);
         station->state = DPM_FDL_PASS_TOKEN;
+        /* Two that each believe to be alone, since they claimed in the same moment, must not scan in step: while both
+         * talk neither hears. A bit time for each address, when alone, and one of them is heard soon. */
+        if (dpm_token_alone(station))
+            station->not_before = max_of(station->not_before, station->deadline +
+                                         dpm_bits_up(&station->config.parameters, station->ring.ts));
         return;
     }
     if (station->passes >= TOKEN_TRIES) {
