@@ -347,6 +347,20 @@ def test_a_late_answer_is_dropped_and_not_taken_for_the_next_one():
     assert request.done and request.tries == 2
 
 
+def test_a_late_answer_to_what_was_given_up_does_not_spoil_the_next_request():
+    """Data_Exchange is given up, Slave_Diag is asked, and then the inputs come: they fit no SAP and belong to nobody."""
+    master, script = stopped()
+    master.request(8, lib.DPM_SRD_HIGH, b"\1")
+    script.next()
+    script.silence(script.bits(201))
+    request = master.request(8, lib.DPM_SRD_HIGH, b"", 60, 62)
+    script.next()
+    script.answer("68 04 04 68 02 08 08 11 23 16")
+    assert not request.done and master.status.fdl.stray == 1
+    script.answer(DIAG)
+    assert request.done and request.status == lib.DPM_CONF_ANSWER and request.tries == 1
+
+
 def test_a_doubled_answer_does_not_meet_the_next_exchange():
     """Two tries may bring two answers: the second one finds nobody waiting."""
     master, script = stopped()

@@ -112,6 +112,7 @@ static void finish_unanswered(dpm_station *st, int64_t now, uint8_t status)
     st->fcb[st->da] = DPM_FCB_UNKNOWN;
     if (status == DPM_CONF_NA) {
         st->statistics.unanswered++;
+        st->given_up = st->da;
         dpm_token_live(st, st->da, DPM_LIVE_NONE, now);
     }
     finish(st, now, &confirm);
@@ -138,6 +139,7 @@ static void finish_answered(dpm_station *st, const dpm_received *rx, uint8_t sta
         .tsdr = max_of(rx->start_latest - st->tx_end_latest, 0),
     };
     st->statistics.answers++;
+    st->given_up = -1;
     if (counts_frames(st->function))
         st->fcb[st->da] = st->fcb[st->da] == DPM_FCB_NEXT_0 ? DPM_FCB_NEXT_1 : DPM_FCB_NEXT_0;
     /* Each try may have been answered: what a slow responder still sends for an earlier one must not meet the next
@@ -265,7 +267,11 @@ static void receive(dpm_station *st, const dpm_received *rx)
         if (t->da == st->config.address && !is_sdn(FC_CODE(t->fc)) && st->state > DPM_FDL_PASSIVE_IDLE)
             reply(st, rx);
     } else if (!request && is_answer(st, rx)) {
-        finish_answered(st, rx, t->format == DPM_SC || mirrors_saps(st, t) ? DPM_CONF_ANSWER : DPM_CONF_INVALID);
+        const bool fits = t->format == DPM_SC || mirrors_saps(st, t);
+        if (!fits && st->given_up == st->da)
+            st->statistics.stray++; /* it answers the exchange that was given up, too late */
+        else
+            finish_answered(st, rx, fits ? DPM_CONF_ANSWER : DPM_CONF_INVALID);
     } else if (!request && t->format == DPM_SD1 && t->da == st->config.address && st->tx_kind == DPM_TX_NONE &&
                st->state == DPM_FDL_AWAIT_STATUS_RESPONSE) {
         dpm_token_poll_answered(st, t->sa, t->fc, rx->end_latest);
@@ -642,6 +648,7 @@ int dpm_station_init(void *block, size_t size, const dpm_station_config *config,
     st->last_activity = -1;
     st->foreign = -1;
     st->heard = -1;
+    st->given_up = -1;
     st->ring.ts = config->address;
     st->ring.ns = config->address;
     st->ring.ps = config->address;

@@ -52,6 +52,7 @@ struct dpm_station {
     int16_t dsap, ssap;
     bool withdrawn;        /* not to be sent any more; an answer to what was sent is still good */
     int64_t deadline;      /* slot time over, allowance included */
+    int16_t given_up;      /* whose request was given up last, until an answer comes; -1 none */
     int16_t suspect;       /* sender of what looked like a token in the slot, -1 none */
     int64_t heard;         /* latest octet since the request went out, -1 none */
 
