@@ -20,7 +20,6 @@ static const char *const texts[] = {
     [-DPM_E_MODE] = "not possible in the present mode",
     [-DPM_E_LATCHED] = "outputs are latched safe: call operate() before the next commit",
     [-DPM_E_BUSY] = "the one place for this request is taken: wait for its answer or cancel it",
-    [-DPM_E_CANCELLED] = "the request was taken back before it was answered",
     [-DPM_E_TIMEOUT] = "the time given has passed",
     [-DPM_E_INTERRUPTED] = "interrupted by a signal",
     [-DPM_E_CLOSED] = "the object was closed",

@@ -20,7 +20,6 @@ enum dpm_error {
     DPM_E_MODE = -9,        /* not possible in the present mode */
     DPM_E_LATCHED = -10,    /* outputs are latched safe until the next operate() */
     DPM_E_BUSY = -11,       /* the one place for this request is taken */
-    DPM_E_CANCELLED = -12,  /* the request was taken back before it was answered */
     DPM_E_TIMEOUT = -13,    /* the time given has passed */
     DPM_E_INTERRUPTED = -14, /* a signal arrived; wait again to go on */
     DPM_E_CLOSED = -15,     /* the object was closed */
