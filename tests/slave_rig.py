@@ -9,6 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+import pytest
+
 from dpmaster._core import block, check, ffi, lib
 
 TBIT = 2_000  # ns at 500 kbit/s
@@ -231,6 +233,18 @@ class Initiator:
 
     def control(self, command: int, group: int = 0, da: int = 127) -> None:
         assert self.rig.exchange(telegram(da, self.address, 0x46, bytes([command, group]), GLOBAL_CONTROL)) == b""
+
+
+@pytest.fixture
+def rig() -> Rig:
+    """The SI-P1's slave, switched on."""
+    return Rig()
+
+
+@pytest.fixture
+def master(rig: Rig) -> Initiator:
+    """A master that has not talked to it yet."""
+    return Initiator(rig)
 
 
 def running(**config: Any) -> tuple[Rig, Initiator]:

@@ -37,17 +37,6 @@ from slave_rig import (
 
 from dpmaster._core import block, ffi, lib
 
-
-@pytest.fixture
-def rig() -> Rig:
-    return Rig()
-
-
-@pytest.fixture
-def master(rig: Rig) -> Initiator:
-    return Initiator(rig)
-
-
 # ---- page C.2: the frame count bit ----
 
 

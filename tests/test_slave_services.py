@@ -34,17 +34,6 @@ from slave_rig import (
 
 from dpmaster._core import lib
 
-
-@pytest.fixture
-def rig() -> Rig:
-    return Rig()
-
-
-@pytest.fixture
-def master(rig: Rig) -> Initiator:
-    return Initiator(rig)
-
-
 # ---- page B.4: what real masters sent and real slaves answered ----
 
 

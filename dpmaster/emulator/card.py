@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar
 
 from dpmaster._names import Named
 
@@ -47,15 +46,15 @@ class Card(ABC):
     """An application behind a DP slave. The host reads the attributes once, when it attaches the card."""
 
     address: int
-    ident_number: ClassVar[int]
-    configurations: ClassVar[tuple[bytes, ...]]
+    ident_number: int
+    configurations: tuple[bytes, ...]
     """Identifier octets of every configuration that Chk_Cfg accepts; the first is the one Get_Cfg tells before that."""
-    user_parameters: ClassVar[tuple[int, int]] = (0, 0)
+    user_parameters: tuple[int, int] = (0, 0)
     """Fewest and most octets of User_Prm_Data that Set_Prm accepts."""
-    fail_safe: ClassVar[bool] = False
-    sync: ClassVar[bool] = False
-    freeze: ClassVar[bool] = False
-    max_diagnosis: ClassVar[int] = 6
+    fail_safe: bool = False
+    sync: bool = False
+    freeze: bool = False
+    max_diagnosis: int = 6
 
     @abstractmethod
     def step(self, now: float, exchange: Exchange) -> bytes:

@@ -12,7 +12,7 @@ import math
 import random
 import threading
 from collections.abc import Iterator, MutableMapping
-from typing import ClassVar, Literal
+from typing import Literal
 
 from dpmaster.emulator.card import Card, Exchange, SlaveState
 from dpmaster.emulator.motor import Motor
@@ -133,10 +133,10 @@ class SIP1(Card):
     `frequency_reference`, `torque_reference`. Conditions to set: `undervoltage`, `storing`, `pulse_train`, `inject`.
     """
 
-    ident_number: ClassVar[int] = 0x00CA
-    configurations: ClassVar[tuple[bytes, ...]] = tuple(c.identifier for c in CONFIGURATIONS)
-    sync: ClassVar[bool] = True
-    freeze: ClassVar[bool] = True
+    ident_number: int = 0x00CA
+    configurations: tuple[bytes, ...] = tuple(c.identifier for c in CONFIGURATIONS)
+    sync: bool = True
+    freeze: bool = True
 
     def __init__(self, address: int, *, parameters: Literal["commissioned", "factory"] = "commissioned",
                  word_order: WordOrder = "big", motor: Motor | None = None, seed: int | None = None) -> None:
