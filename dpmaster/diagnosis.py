@@ -3,20 +3,24 @@
 
 Pure: octets in, objects and texts out; touches nothing else. Layout: EN 50170 part 8 (Slave_Diag), six standard octets,
 then blocks whose header says in bits 7..6 what they are and, for two of them, in bits 5..0 how long. A length that lies
-ends the blocks, and what is left is kept as it came.
+ends the blocks, and what is left is kept as it came. What the standard leaves to the maker is put into words by a
+`DiagnosisTexts`, which a GSD file or a drive provides.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import IntFlag
+from typing import Protocol
 
 from dpmaster._names import Named
 from dpmaster.errors import ConfigurationError
 
 __all__ = [
-    "Block", "ChannelBlock", "DeviceBlock", "Diag", "Diagnosis", "IdentifierBlock", "Reason", "RevisionBlock",
-    "StationState", "why",
+    "AlarmBlock", "Block", "ChannelBlock", "DeviceBlock", "Diag", "Diagnosis", "DiagnosisArea", "DiagnosisTables",
+    "DiagnosisTexts", "IdentifierBlock", "ModuleState", "Reason", "RevisionBlock", "StationState", "StatusBlock",
+    "decode_blocks", "why",
 ]
 
 
@@ -99,20 +103,207 @@ _TEXTS: dict[Diag, str] = {
 }
 
 
+# --- the maker's words -----------------------------------------------------------------------------------------------
+
+
+class DiagnosisTexts(Protocol):
+    """What a maker says about a slave's diagnosis: `DiagnosisTables` from a GSD file, or what a drive knows of itself."""
+
+    def device(self, block: DeviceBlock) -> Sequence[str]:
+        """Clauses for a device-related block; none: it says nothing about this one."""
+
+    def channel_error(self, block: ChannelBlock) -> str | None:
+        """Words for an error of a channel that is the maker's (16..31); None: it has none."""
+
+    def module(self, identifier: int) -> str | None:
+        """Name of the module with this identifier number of the configuration, 0 the first; None: it has none."""
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnosisArea:
+    """Unit_Diag_Area of a GSD file: the number in bits `first` to `last`, with a text for some of its values."""
+
+    first: int
+    last: int
+    values: Mapping[int, str]
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.first <= self.last:
+            raise ConfigurationError(f"a diagnosis area of bits {self.first} to {self.last}: the first is 0 or more, and not "
+                                     "above the last")
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnosisTables:
+    """Texts by number, as a GSD file lists them. Bits count from 0 at bit 0 of the first octet behind a block's header.
+
+    bits: Unit_Diag_Bit, the text of a bit that is set. clear_bits: Unit_Diag_Not_Bit, of one that is not. areas:
+    Unit_Diag_Area. types: tables for the status or alarm of one type only (UnitDiagType). channel_errors: Channel_Diag,
+    16..31. modules: names of the configuration's identifiers, in order.
+    """
+
+    bits: Mapping[int, str] = field(default_factory=dict)
+    clear_bits: Mapping[int, str] = field(default_factory=dict)
+    areas: Sequence[DiagnosisArea] = ()
+    types: Mapping[int, DiagnosisTables] = field(default_factory=dict)
+    channel_errors: Mapping[int, str] = field(default_factory=dict)
+    modules: Sequence[str] = ()
+
+    def device(self, block: DeviceBlock) -> tuple[str, ...]:
+        data = block.octets[1:]
+        number, size = int.from_bytes(data, "little"), 8 * len(data)
+        found = [(bit, text) for bit, text in self.bits.items() if bit < size and number >> bit & 1]
+        found += [(bit, text) for bit, text in self.clear_bits.items() if bit < size and not number >> bit & 1]
+        for area in self.areas:
+            value = number >> area.first & (1 << area.last - area.first + 1) - 1
+            if area.last < size and value in area.values:
+                found.append((area.first, area.values[value]))
+        texts = tuple(text for _, text in sorted(found))
+        if isinstance(block, AlarmBlock | StatusBlock) and block.type in self.types:
+            texts += self.types[block.type].device(block)
+        return texts
+
+    def channel_error(self, block: ChannelBlock) -> str | None:
+        return self.channel_errors.get(block.error)
+
+    def module(self, identifier: int) -> str | None:
+        return self.modules[identifier] if identifier < len(self.modules) else None
+
+
+_NO_TEXTS = DiagnosisTables()
+
+# --- extended blocks -------------------------------------------------------------------------------------------------
+
+
 @dataclass(frozen=True, slots=True)
 class Block:
     """A block of the extended diagnosis, header included."""
 
     octets: bytes
 
+    def explain(self, texts: DiagnosisTexts = _NO_TEXTS) -> str:
+        """The block in words, the maker's where `texts` has some."""
+        return self.octets.hex(" ").upper()
+
+    def __str__(self) -> str:
+        return self.explain()
+
 
 @dataclass(frozen=True, slots=True)
 class DeviceBlock(Block):
-    """Header 00: the maker's own data, or with DP-V1 an alarm or a status."""
+    """Header 00: the maker's own data. One that is an alarm or a status of DP-V1 is an `AlarmBlock` or a `StatusBlock`."""
 
     @property
     def data(self) -> bytes:
         return self.octets[1:]
+
+    @property
+    def _what(self) -> str:
+        return "device diagnosis"
+
+    def explain(self, texts: DiagnosisTexts = _NO_TEXTS) -> str:
+        clauses = texts.device(self)
+        return f"{self._what}: {'; '.join(clauses) if clauses else self.data.hex(' ').upper() or 'no data'}"
+
+
+@dataclass(frozen=True, slots=True)
+class _PduBlock(DeviceBlock):
+    """A device-related block of DP-V1: type, slot, specifier, data. `data` is what follows these."""
+
+    @property
+    def type(self) -> int:
+        return self.octets[1] & 0x7F
+
+    @property
+    def slot(self) -> int:
+        """0: the whole station; 1..254."""
+        return self.octets[2]
+
+    @property
+    def specifier(self) -> int:
+        return self.octets[3]
+
+    @property
+    def data(self) -> bytes:
+        return self.octets[4:]
+
+    def _words(self, texts: DiagnosisTexts, what: str) -> str:
+        said = "; ".join(texts.device(self)) or self.data.hex(" ").upper()
+        return f"{what}, slot {self.slot}" + (f": {said}" if said else "")
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmBlock(_PduBlock):
+    """An alarm of DP-V1: it stays in the slave until it is acknowledged."""
+
+    @property
+    def type_text(self) -> str:
+        return _ALARMS.get(self.type) or _maker(self.type, "alarm")
+
+    @property
+    def sequence_number(self) -> int:
+        """0..31, by which the acknowledgement names it."""
+        return self.specifier >> 3
+
+    @property
+    def additional_acknowledge(self) -> bool:
+        """Besides the acknowledgement it wants one by the program, with a DS_Write."""
+        return bool(self.specifier & 0x04)
+
+    @property
+    def appears(self) -> str:
+        return ("", "appears", "disappears", "disappears, others remain")[self.specifier & 3]
+
+    def explain(self, texts: DiagnosisTexts = _NO_TEXTS) -> str:
+        what = f"{self.type_text} {self.sequence_number}{' ' if self.appears else ''}{self.appears}"
+        return self._words(texts, what + (", wants an additional acknowledge" if self.additional_acknowledge else ""))
+
+
+class ModuleState(Named):
+    """What the module status of DP-V1 says of a slot."""
+
+    VALID = 0
+    INVALID = 1  # its data are: it has a fault
+    WRONG = 2  # another module than configured
+    MISSING = 3
+
+
+@dataclass(frozen=True, slots=True)
+class StatusBlock(_PduBlock):
+    """A status of DP-V1: nobody acknowledges it."""
+
+    @property
+    def type_text(self) -> str:
+        return _STATUSES.get(self.type) or _maker(self.type, "status")
+
+    @property
+    def comes(self) -> str:
+        return ("", "comes", "goes", "")[self.specifier & 3]
+
+    @property
+    def modules(self) -> Mapping[int, ModuleState]:
+        """Of a module status: slots, from 1, whose module is not valid. Other types: empty."""
+        if self.type != _MODULE_STATUS:
+            return {}
+        states = {4 * i + n + 1: octet >> 2 * n & 3 for i, octet in enumerate(self.data) for n in range(4)}
+        return {slot: ModuleState(state) for slot, state in states.items() if state}
+
+    def explain(self, texts: DiagnosisTexts = _NO_TEXTS) -> str:
+        if self.type == _MODULE_STATUS:
+            told = ", ".join(f"slot {slot} {_MODULES[state]}" for slot, state in self.modules.items())
+            return f"{self.type_text}: {told or 'all modules valid'}"
+        return self._words(texts, f"{self.type_text}{' ' if self.comes else ''}{self.comes}")
+
+
+_MODULE_STATUS = 2
+_MODULES = {ModuleState.INVALID: "has invalid data", ModuleState.WRONG: "holds another module than configured",
+            ModuleState.MISSING: "holds no module"}
+_ALARMS = {1: "diagnostic alarm", 2: "process alarm", 3: "pull alarm", 4: "plug alarm", 5: "status alarm", 6: "update alarm"}
+_STATUSES = {1: "status message", 2: "module status", 3: "DxB link status", 30: "PrmCmd acknowledge", 31: "redundancy state"}
+
+
+def _maker(type_: int, what: str) -> str:
+    return f"maker's {what} {type_}" if 32 <= type_ <= 126 else f"{what} of the reserved type {type_}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,6 +314,15 @@ class IdentifierBlock(Block):
     def identifiers(self) -> tuple[int, ...]:
         """Slots with diagnosis; the configuration's first identifier is 0."""
         return tuple(8 * i + bit for i, octet in enumerate(self.octets[1:]) for bit in range(8) if octet >> bit & 1)
+
+    def explain(self, texts: DiagnosisTexts = _NO_TEXTS) -> str:
+        found = ", ".join(_module(identifier, texts) for identifier in self.identifiers)
+        return f"diagnosis in {found}" if found else "no module has diagnosis"
+
+
+def _module(identifier: int, texts: DiagnosisTexts) -> str:
+    name = texts.module(identifier)
+    return f"module {identifier}" + (f" ({name})" if name else "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,6 +347,10 @@ class ChannelBlock(Block):
         return self.octets[2] >> 5
 
     @property
+    def type_text(self) -> str:
+        return _CHANNEL_TYPES[self.channel_type]
+
+    @property
     def error(self) -> int:
         """1..9 as the standard names them, 16..31 the maker's."""
         return self.octets[2] & 0x1F
@@ -157,7 +361,13 @@ class ChannelBlock(Block):
             return _CHANNEL_ERRORS[self.error]
         return f"maker's error {self.error}" if self.error >= 16 else f"reserved error {self.error}"
 
+    def explain(self, texts: DiagnosisTexts = _NO_TEXTS) -> str:
+        error = texts.channel_error(self) if self.error >= 16 else None
+        return (f"{_module(self.identifier, texts)}, {self.direction} channel {self.channel} ({self.type_text}): "
+                f"{error or self.error_text}")
 
+
+_CHANNEL_TYPES = ("unspecific", "bit", "2 bits", "4 bits", "byte", "word", "2 words", "reserved type 7")
 _CHANNEL_ERRORS = (
     "reserved error 0", "short circuit", "undervoltage", "overvoltage", "overload", "overtemperature", "line break",
     "upper limit exceeded", "lower limit exceeded", "error",
@@ -172,34 +382,54 @@ class RevisionBlock(Block):
     def revision(self) -> int:
         return self.octets[0] & 0x3F
 
+    def explain(self, texts: DiagnosisTexts = _NO_TEXTS) -> str:
+        return f"revision {self.revision} of the diagnosis data"
 
-_BLOCKS = (DeviceBlock, IdentifierBlock, ChannelBlock, RevisionBlock)
+
+def _device(octets: bytes, dpv1: bool) -> DeviceBlock:
+    """Nothing in the octets says that a device-related block is a PDU of DP-V1. Where DPV1_Enable was not set, only one
+    whose type is the standard's is taken for it: some slaves send their module status from power-on."""
+    if len(octets) < 4 or octets[2] > 254:
+        return DeviceBlock(octets)
+    type_ = octets[1] & 0x7F
+    if octets[1] & 0x80:
+        known = type_ in _STATUSES and not octets[3] & 0xFC  # bits 7..2 of a status's specifier are reserved
+        return StatusBlock(octets) if known or dpv1 else DeviceBlock(octets)
+    return AlarmBlock(octets) if type_ in _ALARMS or (dpv1 and type_) else DeviceBlock(octets)
 
 
-def _blocks(octets: bytes) -> tuple[tuple[Block, ...], bytes]:
-    """The blocks, and what is left where one announces a length of 0 or 1 or runs past the end."""
+def decode_blocks(octets: bytes, dpv1: bool = False) -> tuple[tuple[Block, ...], bytes]:
+    """The blocks of an extended diagnosis, and what is left where one announces a length of 0 or 1 or runs past the end.
+
+    Any octets decode, and every one is in exactly one block or in the rest. dpv1: DPV1_Enable was set in Set_Prm.
+    """
     found: list[Block] = []
     while octets:
         kind = octets[0] >> 6
         length = (octets[0] & 0x3F, octets[0] & 0x3F, 3, 1)[kind]
         if not (length >= 2 or kind == 3) or length > len(octets):
             break
-        found.append(_BLOCKS[kind](octets[:length]))
-        octets = octets[length:]
+        block, octets = octets[:length], octets[length:]
+        found.append(_device(block, dpv1) if kind == 0 else (IdentifierBlock, ChannelBlock, RevisionBlock)[kind - 1](block))
     return tuple(found), octets
+
+
+# --- the whole answer ------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
     """One answer to Slave_Diag, 6 to 244 octets, the master's own bits added.
 
-    ``number`` counts the answers fetched from this station; ``time`` is when, in s of `time.monotonic`.
-    Raises ConfigurationError for fewer than six octets.
+    ``number`` counts the answers fetched from this station; ``time`` is when, in s of `time.monotonic`. ``dpv1``: its
+    Set_Prm set DPV1_Enable, so its device-related blocks are alarms and statuses. Raises ConfigurationError for fewer than
+    six octets.
     """
 
     octets: bytes
     number: int = 0
     time: float = 0.0
+    dpv1: bool = False
 
     def __post_init__(self) -> None:
         if not 6 <= len(self.octets) <= 244:
@@ -225,12 +455,12 @@ class Diagnosis:
 
     @property
     def blocks(self) -> tuple[Block, ...]:
-        return _blocks(self.extended)[0]
+        return decode_blocks(self.extended, self.dpv1)[0]
 
     @property
     def rest(self) -> bytes:
         """What follows the last whole block: empty, unless a block lies about its length."""
-        return _blocks(self.extended)[1]
+        return decode_blocks(self.extended, self.dpv1)[1]
 
     @property
     def ready(self) -> bool:
@@ -240,11 +470,22 @@ class Diagnosis:
     @property
     def texts(self) -> tuple[str, ...]:
         """One clause per flag that is set, without subject: "refuses the configuration"."""
-        return tuple(text for flag, text in _TEXTS.items() if self.flags & flag)
+        return tuple(self._text(flag) for flag in _TEXTS if self.flags & flag)
+
+    def _text(self, flag: Diag) -> str:
+        whose = flag == Diag.MASTER_LOCK and self.master is not None
+        return f"is locked by master {self.master}" if whose else _TEXTS[flag]
+
+    def explain(self, texts: DiagnosisTexts = _NO_TEXTS) -> tuple[str, ...]:
+        """All it says in words: `texts`, then a clause per extended block, in the maker's words where `texts` has some."""
+        clauses = (*self.texts, *(block.explain(texts) for block in self.blocks))
+        if self.rest:
+            clauses += (f"{len(self.rest)} octets that are no block, a length is wrong: {self.rest.hex(' ').upper()}",)
+        return clauses
 
     def __str__(self) -> str:
         owner = "free" if self.master is None else f"master {self.master}"
-        return f"ident {self.ident_number:04X}h, {owner}: {'; '.join(self.texts) or 'nothing to report'}"
+        return f"ident {self.ident_number:04X}h, {owner}: {'; '.join(self.explain()) or 'nothing to report'}"
 
 
 _OBSTACLES = (

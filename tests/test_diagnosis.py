@@ -9,14 +9,21 @@ from hypothesis import strategies as st
 
 from dpmaster import _core
 from dpmaster.diagnosis import (
+    AlarmBlock,
     ChannelBlock,
     DeviceBlock,
     Diag,
     Diagnosis,
+    DiagnosisArea,
+    DiagnosisTables,
+    DiagnosisTexts,
     IdentifierBlock,
+    ModuleState,
     Reason,
     RevisionBlock,
     StationState,
+    StatusBlock,
+    decode_blocks,
     why,
 )
 from dpmaster.errors import ConfigurationError
@@ -85,8 +92,123 @@ def test_a_whole_capture() -> None:
     modules, status = diagnosis.blocks
     assert isinstance(modules, IdentifierBlock)
     assert modules.identifiers == ()
-    assert isinstance(status, DeviceBlock)
+    assert isinstance(status, StatusBlock)
     assert len(status.octets) == 20
+    assert (status.type_text, dict(status.modules)) == ("module status", {})
+    assert [str(block) for block in diagnosis.blocks] == ["no module has diagnosis", "module status: all modules valid"]
+
+
+def test_an_alarm_is_recognised_as_such() -> None:
+    # B.4 #66: "Ext_Diag and a DPV1 process alarm (type 2, slot 3, spec 09 = seq 1, appears)"
+    (alarm,) = decode("08 0C 00 02 09 59 09 02 03 09 50 00 00 00 00").blocks
+    assert isinstance(alarm, AlarmBlock)
+    assert (alarm.type, alarm.type_text, alarm.slot, alarm.sequence_number) == (2, "process alarm", 3, 1)
+    assert (alarm.appears, alarm.additional_acknowledge, alarm.data) == ("appears", False, bytes.fromhex("50 00 00 00 00"))
+    assert str(alarm) == "process alarm 1 appears, slot 3: 50 00 00 00 00"
+
+
+@pytest.mark.parametrize(("block", "text"), [
+    # H.2, alarm types and specifier: "bits 7..3 Seq_Nr, bit2 Add_Ack, bits 1..0 ..., 3 disappears (slot still disturbed)"
+    ("04 01 05 FF", "diagnostic alarm 31 disappears, others remain, wants an additional acknowledge, slot 5"),
+    ("04 03 01 00", "pull alarm 0, slot 1"),
+    ("04 04 01 0A", "plug alarm 1 disappears, slot 1"),
+    # H.2, status types: "1 status message, 2 module status, 3 DxB link status, 30 PrmCmdAck, 31 Red_State"
+    ("05 81 00 01 0F", "status message comes, slot 0: 0F"),
+    ("04 9E 00 00", "PrmCmd acknowledge, slot 0"),
+    ("04 9F 00 02", "redundancy state goes, slot 0"),
+    # H.2: "slot 1 = bits 1..0 of the first octet: 01 data invalid, 10 wrong module, 11 no module"
+    ("05 82 00 00 09", "module status: slot 1 has invalid data, slot 2 holds another module than configured"),
+    ("05 82 00 00 C0", "module status: slot 4 holds no module"),
+])
+def test_alarms_and_statuses_in_words(block: str, text: str) -> None:
+    assert decode("08 0C 00 02 09 59" + block).explain()[-1] == text
+
+
+def test_the_states_of_modules() -> None:
+    (status,) = decode("08 0C 00 02 09 59 05 82 00 00 C9").blocks
+    assert isinstance(status, StatusBlock)
+    assert status.modules == {1: ModuleState.INVALID, 2: ModuleState.WRONG, 4: ModuleState.MISSING}
+
+
+@pytest.mark.parametrize(("block", "plain", "with_dpv1"), [
+    ("04 10 20 30", DeviceBlock, AlarmBlock),  # H.2: "04 10 20 30 device data"; alarm type 16 is reserved
+    ("06 08 33 06 F4 01", DeviceBlock, AlarmBlock),  # devices page, VW3A3607: LFT, ETA, speed; not a block of DP-V1
+    ("05 A0 01 00 7F", DeviceBlock, StatusBlock),  # status 32, the maker's
+    ("05 81 00 10 7F", DeviceBlock, StatusBlock),  # a reserved bit of the specifier
+    ("05 02 FF 00 7F", DeviceBlock, DeviceBlock),  # H.2: "slot (0..254)"
+    ("05 00 01 00 7F", DeviceBlock, DeviceBlock),  # H.2: alarm "0/127 reserved"
+    ("03 02 01", DeviceBlock, DeviceBlock),  # H.2: "header (length 4..63)"
+])
+def test_what_is_taken_for_an_alarm_or_a_status(block: str, plain: type, with_dpv1: type) -> None:
+    octets = bytes.fromhex(block)
+    assert [type(decode_blocks(octets, dpv1)[0][0]) for dpv1 in (False, True)] == [plain, with_dpv1]
+
+
+# Unit_Diag_Bit of the GSD file printed in the SI-P3's manual, chapter 10
+SI_P3 = DiagnosisTables(bits={24: "Undervoltage Condition", 25: "Inverter Communications Error",
+                              26: "PNU915: Illegal PNU configured", 27: "PNU916: Illegal PNU configured"})
+
+
+@pytest.mark.parametrize(("last", "text"), [
+    ("01", "status message, slot 0: Undervoltage Condition"),
+    ("02", "status message, slot 0: Inverter Communications Error"),
+    ("0C", "status message, slot 0: PNU915: Illegal PNU configured; PNU916: Illegal PNU configured"),
+    ("00", "status message, slot 0: 00"),
+])
+def test_the_makers_bits(last: str, text: str) -> None:
+    """Devices page, SI-P3: "bits 24..27 count from after the header, so the block is 05 81 00 00 0x (a status block)"."""
+    diagnosis = decode("08 0C 00 02 00 CA 05 81 00 00" + last)
+    assert diagnosis.explain(SI_P3)[-1] == text
+    assert "Undervoltage" not in str(diagnosis)
+
+
+def test_the_makers_areas_bits_that_are_clear_and_types() -> None:
+    tables = DiagnosisTables(
+        clear_bits={0: "no supply", 7: "no sensor", 99: "beyond the block"}, bits={99: "beyond, too"},
+        areas=(DiagnosisArea(4, 9, {0b10_1010: "mode 42"}), DiagnosisArea(10, 11, {1: "another value"}),
+               DiagnosisArea(12, 40, {0: "beyond the block"})),
+        types={1: DiagnosisTables(bits={24: "of a status message"})},
+    )
+    # M.2: "bit counted over the device-specific block after the header"; bits 4 to 9 are in A0h and 02h
+    assert decode("08 0C 00 02 09 59 03 A0 02").explain(tables)[-1] == "device diagnosis: no supply; mode 42"
+    assert decode("08 0C 00 02 09 59 05 81 00 00 01").explain(tables)[-1] == "status message, slot 0: of a status message"
+    with pytest.raises(ConfigurationError, match="7 to 5"):
+        DiagnosisArea(7, 5, {})
+
+
+def test_modules_and_channels_by_the_makers_names() -> None:
+    tables = DiagnosisTables(channel_errors={16: "parameter error", 1: "never asked for"},
+                             modules=("head", "8 DI"))
+    texts = decode("08 0C 00 02 09 59 42 0E 81 41 30 82 C5 81").explain(tables)[-3:]
+    assert texts == ("diagnosis in module 1 (8 DI), module 2, module 3",
+                     "module 1 (8 DI), input channel 1 (bit): parameter error",
+                     "module 2, input and output channel 5 (byte): short circuit")
+
+
+class Altivar:
+    """What a drive knows of its own block (VW3A3607 manual, diagnostic): a page of texts is not the only way to say it."""
+
+    def device(self, block: DeviceBlock) -> tuple[str, ...]:
+        return (f"LFT {block.octets[1]}", f"ETA {int.from_bytes(block.octets[2:4], 'little'):04X}h")
+
+    def channel_error(self, block: ChannelBlock) -> None:
+        return None
+
+    def module(self, identifier: int) -> None:
+        return None
+
+
+def test_a_drive_may_have_words_of_its_own() -> None:
+    texts: DiagnosisTexts = Altivar()
+    assert decode("08 0C 00 02 09 59 06 08 33 06 F4 01").explain(texts)[-1] == "device diagnosis: LFT 8; ETA 0633h"
+
+
+def test_a_whole_diagnosis_in_words() -> None:
+    """H.1 and H.2: whose lock, every block, and what is no block."""
+    assert str(decode("88 0C 00 07 09 59  44 00 01 00  88 41 21  04 10 20 30  C5  7F 01")) == (
+        "ident 0959h, master 7: reports a fault in its extended diagnosis; is locked by master 7; has its watchdog on; "
+        "diagnosis in module 8; module 8, input channel 1 (bit): short circuit; device diagnosis: 10 20 30; "
+        "revision 5 of the diagnosis data; 2 octets that are no block, a length is wrong: 7F 01")
 
 
 @pytest.mark.parametrize("lie", ["00", "01", "40", "41", "05 01", "7F 00", "80 01", "BF"])
@@ -97,14 +219,25 @@ def test_a_block_that_lies_ends_the_blocks(lie: str) -> None:
     assert diagnosis.rest == bytes.fromhex(lie)
 
 
-@given(st.binary(min_size=6, max_size=244))
-def test_no_octets_are_lost_or_made_up(octets: bytes) -> None:
-    diagnosis = Diagnosis(octets)
-    assert b"".join(block.octets for block in diagnosis.blocks) + diagnosis.rest == diagnosis.extended
-    assert str(diagnosis)
-    for block in diagnosis.blocks:
-        if isinstance(block, ChannelBlock):
-            assert block.error_text
+def likely_blocks() -> st.SearchStrategy[bytes]:
+    """Octets that are more often blocks than chance makes them, whole and cut short."""
+    header = st.sampled_from([2, 4, 5, 9, 0x42, 0x44, 0x81, 0xC1, 0x3F, 0])
+    pieces = st.builds(lambda first, rest: bytes([first]) + rest, header, st.binary(max_size=9))
+    return st.lists(pieces, max_size=30).map(lambda parts: b"".join(parts)[:244])
+
+
+@given(st.binary(max_size=244) | likely_blocks(), st.booleans())
+def test_no_octets_are_lost_or_made_up(octets: bytes, dpv1: bool) -> None:
+    blocks, rest = decode_blocks(octets, dpv1)
+    assert b"".join(block.octets for block in blocks) + rest == octets
+    tables = DiagnosisTables(bits={0: "a", 24: "b"}, clear_bits={1: "c"}, areas=(DiagnosisArea(3, 12, {7: "d"}),))
+    for block in blocks:
+        assert str(block)
+        assert block.explain(tables)
+    if len(octets) >= 6:
+        diagnosis = Diagnosis(octets, dpv1=dpv1)
+        assert b"".join(block.octets for block in diagnosis.blocks) + diagnosis.rest == diagnosis.extended
+        assert str(diagnosis)
 
 
 @pytest.mark.parametrize("length", [0, 5, 245])
