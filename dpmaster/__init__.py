@@ -22,6 +22,7 @@ from dpmaster.listener import Listener
 from dpmaster.live import Live, LiveEntry, RingView
 from dpmaster.master import Answer, Master, MasterStatistics, Mode, Service
 from dpmaster.parameters import BusParameters
+from dpmaster.realtime import Realtime, Scheduling
 from dpmaster.station import Frame, Station, StationState, StationStatistics
 
 __version__ = "0.1.0"
@@ -49,7 +50,9 @@ __all__ = [
     "OutputsDiscarded",
     "ParameterAccessError",
     "PortError",
+    "Realtime",
     "RingView",
+    "Scheduling",
     "Service",
     "Station",
     "StationError",

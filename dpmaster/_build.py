@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parent.parent
 # In the order of use: a header needs only those before it.
 HEADERS = (
     "api", "error", "telegram", "machine", "receiver", "parameters", "identifier", "image", "event",
-    "station", "master", "slave", "port", "bus", "segment", "simulation",
+    "station", "master", "slave", "port", "realtime", "bus", "segment", "simulation",
 )
 
 

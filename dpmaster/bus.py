@@ -13,13 +13,15 @@ import threading
 import time
 import weakref
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from dpmaster import _arguments, _core
 from dpmaster._core import NS, ffi, lib
 from dpmaster._names import Named
 from dpmaster.errors import ClosedError, ConfigurationError, PortError
+from dpmaster.realtime import Scheduling, Wish, lock, schedule, wished
 
 if TYPE_CHECKING:
     from dpmaster.events import Events
@@ -68,7 +70,7 @@ class Feed(Named):
 
 @dataclass(frozen=True, slots=True)
 class PortStatistics:
-    """The port and its thread; ``allowance`` and ``cpu_time`` in s."""
+    """The port and its thread, and how that is scheduled; ``allowance`` and ``cpu_time`` in s."""
 
     profile: str
     allowance: float
@@ -80,6 +82,7 @@ class PortStatistics:
     line_errors: int
     cpu_time: float
     wakeups: int
+    scheduling: Scheduling
 
 
 _PROFILES = {None: "AUTO", "uart": "UART", "usb": "USB", "pty": "PTY"}
@@ -116,13 +119,15 @@ class Bus:
     """A port, opened at once; the thread begins with `start`. All methods are safe from any thread."""
 
     def __init__(self, port: str, rate: tuple[int, int], *, echo: bool | None, profile: str | None,
-                 allowance: float | None) -> None:
+                 allowance: float | None, realtime: Wish = False) -> None:
         if profile not in _PROFILES:
             raise ConfigurationError(f"profile {profile!r}: 'uart', 'usb', 'pty', or None to go by the path")
         if echo not in (None, False, True):
             raise ConfigurationError(f"echo {echo!r}: True, False, or None to find it out")
         if allowance:
             _arguments.seconds("allowance", allowance, 1, ", 0, or None for the profile's own")
+        self.scheduling = Scheduling()
+        self._realtime = wished(realtime)
         self.path = _arguments.path(port)
         self.process = _core.Process()
         self.closed = False
@@ -171,6 +176,8 @@ class Bus:
         lib.dpm_bus_get_traits(self._handle, ffi.addressof(config.station, "traits"))
         _core.check(lib.dpm_master_init(memory, len(memory), config, handle), "set up the master")
         self._call(lib.dpm_bus_start(self._handle, lib.dpm_master_machine(handle[0]), handle[0]), "start the bus thread")
+        self.scheduling = schedule(self._realtime, self._profile() != "pty", partial(lib.dpm_bus_realtime, self._handle),
+                                   self._kept, f"the bus thread on {self.path}")
         with self._starting:
             self.master = handle[0]
             for each in self._events:
@@ -193,6 +200,8 @@ class Bus:
         """Give a slave to the thread, with its images and the memory they are in."""
         self.guard()
         self._kept.append(memory)
+        if self.scheduling.locked and lock(memory):
+            self.scheduling = replace(self.scheduling, locked=False)
         return self._call(lib.dpm_bus_add(self._handle, settings, outputs, image), "add the station", address=settings.address)
 
     def change(self, index: int, settings: Any) -> None:
@@ -239,10 +248,14 @@ class Bus:
     def statistics(self) -> PortStatistics:
         info = self.info()
         port = info.port
-        names = {getattr(lib, f"DPM_PROFILE_{theirs}"): ours or "auto" for ours, theirs in _PROFILES.items()}
         return PortStatistics(
-            names[port.profile], port.traits.allowance / NS, port.parity, port.octets_in, port.octets_out, port.echo_octets,
-            port.echo_errors, port.line_errors, info.cpu_time / NS, info.wakeups)
+            self._profile(), port.traits.allowance / NS, port.parity, port.octets_in, port.octets_out, port.echo_octets,
+            port.echo_errors, port.line_errors, info.cpu_time / NS, info.wakeups,
+            self.scheduling)
+
+    def _profile(self) -> str:
+        names = {getattr(lib, f"DPM_PROFILE_{theirs}"): ours or "auto" for ours, theirs in _PROFILES.items()}
+        return names[self.info().port.profile]
 
     def request(self, raw: Any, timeout: float | None) -> bool:
         """Carry out one ``dpm_raw``: True when it is done, False when `timeout` passed and it was taken back."""

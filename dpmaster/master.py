@@ -27,6 +27,7 @@ from dpmaster.errors import ConfigurationError, DPError, DPTimeout, NotOperating
 from dpmaster.events import Event, EventKind, Events
 from dpmaster.live import HIGHEST, LiveEntry, LiveList, RingView
 from dpmaster.parameters import BusParameters
+from dpmaster.realtime import Realtime
 from dpmaster.station import Station
 from dpmaster.timing import TSL_MAX, WATCHDOG_MAX, Slave, cycle, default_watchdog, tsl_needed
 
@@ -145,6 +146,9 @@ class Master:
     `BusParameters.for_ring` sees to, else alone, and silent while another master has the bus. True: it must, or
     ConfigurationError names the Tsl needed; all masters of a ring need the same bus parameters. False: alone.
 
+    realtime: how the bus thread is scheduled, a `Realtime`; True: its defaults; None: these on a serial port, where the user
+    may. What the system refuses is logged and stands in ``statistics.port.scheduling``.
+
     Use it with ``with``, or call close(). Raises PortError with path, reason and remedy, ConfigurationError.
     All methods may be called from any thread. After close(), and in a forked child, every call raises ClosedError.
     """
@@ -152,7 +156,7 @@ class Master:
     def __init__(self, port: str, baudrate: int = 500_000, address: int = 1, *, parameters: BusParameters | None = None,
                  cycle_time: float | None = None, output_watchdog: float | None = 1.0, echo: bool | None = None,
                  profile: str | None = None, allowance: float | None = None, max_stations: int = 126,
-                 ring: bool | None = None) -> None:
+                 ring: bool | None = None, realtime: Realtime | bool | None = None) -> None:
         _arguments.whole("the master's address", address, 0, lib.DPM_ADDRESS_MAX)
         _arguments.whole("max_stations", max_stations, 1, 126)
         if cycle_time is not None:
@@ -176,7 +180,8 @@ class Master:
         self._closing = threading.RLock()
         self._logger: threading.Thread | None = None
         rate = self._parameters.rate
-        self._bus = Bus(port, (rate.numerator, rate.denominator), echo=echo, profile=profile, allowance=allowance)
+        self._bus = Bus(port, (rate.numerator, rate.denominator), echo=echo, profile=profile, allowance=allowance,
+                        realtime=realtime)
         self._ring = ring
         self._live_list = LiveList(self)
         try:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -42,24 +41,15 @@ SECONDS = float(os.environ.get("DPM_RING_SECONDS", "3"))
 # Ttr and HSA as two masters need them, so that a master which comes later is found soon.
 PARAMETERS = replace(BusParameters.for_ring(RATE, allowance=ALLOWANCE), hsa=4, ttr=50_000, g=2)
 
+# Real time where the system grants it: what is tested is the ring, and not how late a loaded machine's scheduler can be.
+OPTIONS = {"ring": True, "output_watchdog": None, "realtime": True}
+
 
 def until(condition, timeout: float = 10.0) -> None:
     deadline = time.monotonic() + timeout
     while not condition():
         assert time.monotonic() < deadline, "it did not happen"
         time.sleep(0.005)
-
-
-def hurry() -> None:
-    """Real-time priority for this process's bus and hub threads where the system grants it: what is tested is the ring, and not
-    how late a loaded machine's scheduler can be."""
-    ours = {thread.native_id for thread in threading.enumerate()}
-    for task in map(int, os.listdir("/proc/self/task")):
-        if task not in ours:
-            try:
-                os.sched_setscheduler(task, os.SCHED_FIFO, os.sched_param(10))
-            except (PermissionError, ProcessLookupError):
-                return
 
 
 @pytest.fixture
@@ -200,15 +190,14 @@ def test_two_masters_exchange_side_by_side() -> None:
 
 
 def in_one_process() -> Outcome:
-    with Segment(RATE) as wire:
+    with Segment(RATE, realtime=True) as wire:
         cards = [wire.attach(SIP1(address=address)) for address in (11, 12)]
-        with (Master(wire.port(), parameters=PARAMETERS, address=1, ring=True, output_watchdog=None) as one,
-              Master(wire.port(), parameters=PARAMETERS, address=2, ring=True, output_watchdog=None) as two):
+        with (Master(wire.port(), parameters=PARAMETERS, address=1, **OPTIONS) as one,
+              Master(wire.port(), parameters=PARAMETERS, address=2, **OPTIONS) as two):
             masters = one, two
             drives = [master.add(YaskawaV7(address=address)) for master, address in zip(masters, (11, 12), strict=True)]
             for master in masters:
                 master.stop()
-            hurry()
             for master in masters:
                 master.operate()
             until(lambda: one.ring.las == two.ring.las == (1, 2))
@@ -223,15 +212,14 @@ def in_one_process() -> Outcome:
 
 PROGRAM = """
 import sys, time
-from test_ring_pty import PARAMETERS, SECONDS, hurry, until
+from test_ring_pty import OPTIONS, PARAMETERS, until
 from dpmaster import Master
 from dpmaster.drives import YaskawaV7
 from dpmaster.emulator import PortPath
 port, address = PortPath(sys.argv[1], 0, True, 500_000), int(sys.argv[2])
-with Master(port, parameters=PARAMETERS, address=address, ring=True, output_watchdog=None) as master:
+with Master(port, parameters=PARAMETERS, address=address, **OPTIONS) as master:
     drive = master.add(YaskawaV7(address=10 + address))
     master.stop()
-    hurry()
     master.operate(timeout=10)
     until(lambda: master.ring.las == (1, 2))
     print("ready", flush=True)
@@ -248,9 +236,8 @@ def test_two_processes_exchange_side_by_side() -> None:
 
 def in_two_processes() -> Outcome:
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([os.path.dirname(__file__), *sys.path])}
-    with Segment(RATE) as wire:
+    with Segment(RATE, realtime=True) as wire:
         cards = [wire.attach(SIP1(address=address)) for address in (11, 12)]
-        hurry()
         programs = [subprocess.Popen([sys.executable, "-c", PROGRAM, wire.port(), str(address)], env=environment,
                                      stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) for address in (1, 2)]
 

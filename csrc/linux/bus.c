@@ -262,6 +262,11 @@ int dpm_bus_wait(dpm_bus *bus, uint32_t seen, int64_t timeout)
     return dpm_worker_wait(&bus->worker, seen, timeout);
 }
 
+int dpm_bus_realtime(dpm_bus *bus, const dpm_realtime *wish, dpm_refusals *refusals)
+{
+    return dpm_worker_realtime(&bus->worker, wish, refusals);
+}
+
 /* ---- calls about the bus: each runs on its thread, between two events ---- */
 
 static int64_t thread_time(void)

@@ -415,6 +415,11 @@ int dpm_segment_wait(dpm_segment *segment, uint32_t seen, int64_t timeout)
     return dpm_worker_wait(&segment->worker, seen, timeout);
 }
 
+int dpm_segment_realtime(dpm_segment *segment, const dpm_realtime *wish, dpm_refusals *refusals)
+{
+    return dpm_worker_realtime(&segment->worker, wish, refusals);
+}
+
 /* ---- Calls that run on the thread ---- */
 
 struct slave_call {

@@ -11,9 +11,11 @@
 #include <errno.h>
 #include <limits.h>
 #include <linux/futex.h>
+#include <sched.h>
 #include <signal.h>
 #include <string.h>
 #include <sys/eventfd.h>
+#include <sys/mman.h>
 #include <sys/syscall.h>
 #include <unistd.h>
 
@@ -25,6 +27,8 @@
 #else
 #define FUTEX SYS_futex
 #endif
+
+enum { STACK = 65536 }; /* octets of a thread's stack that are kept in memory: far more than the loop and its calls use */
 
 struct futex_time {
     int64_t seconds;
@@ -79,13 +83,32 @@ int dpm_worker_init(dpm_worker *worker)
     return worker->wake_fd < 0 ? DPM_E_SYSTEM : DPM_OK;
 }
 
+static void unlock_stack(dpm_worker *worker)
+{
+    if (worker->locked)
+        (void)munlock((const void *)worker->locked, worker->stack - worker->locked);
+    worker->locked = 0;
+}
+
+static void *begin(void *context)
+{
+    dpm_worker *worker = context;
+    uint8_t here;
+    worker->stack = (uintptr_t)&here;
+    void *result = worker->run(worker->context);
+    unlock_stack(worker); /* the C library keeps the stack for the next thread */
+    return result;
+}
+
 /* A new thread inherits the mask of its maker, so there is no moment in which a signal could hit it. */
 static int spawn(dpm_worker *worker, void *(*run)(void *), void *context)
 {
     sigset_t all, before;
     sigfillset(&all);
     pthread_sigmask(SIG_SETMASK, &all, &before);
-    int error = pthread_create(&worker->thread, NULL, run, context);
+    worker->run = run;
+    worker->context = context;
+    int error = pthread_create(&worker->thread, NULL, begin, worker);
     pthread_sigmask(SIG_SETMASK, &before, NULL);
     errno = error;
     return error ? DPM_E_SYSTEM : DPM_OK;
@@ -158,6 +181,63 @@ int dpm_worker_call(dpm_worker *worker, int (*fn)(void *object, void *argument),
     return code;
 }
 
+/* ---- scheduling ---- */
+
+int dpm_lock(const void *block, size_t size)
+{
+    return mlock(block, size) < 0 ? DPM_E_SYSTEM : DPM_OK;
+}
+
+struct realtime_call {
+    const dpm_realtime *wish;
+    dpm_refusals *refusals;
+};
+
+/* All of the stack would be 8 MiB, which is as much as an ordinary user may lock in all. */
+static int lock_stack(dpm_worker *worker)
+{
+    uint8_t room[STACK];
+    unlock_stack(worker);
+    if (mlock(room, worker->stack - (uintptr_t)room) < 0)
+        return errno;
+    worker->locked = (uintptr_t)room;
+    return 0;
+}
+
+static int set_cpu(int cpu)
+{
+    cpu_set_t cpus;
+    CPU_ZERO(&cpus);
+    CPU_SET((size_t)cpu, &cpus);
+    return sched_setaffinity(0, sizeof cpus, &cpus) < 0 ? errno : 0;
+}
+
+/* On the thread: 0 is the caller in these calls. */
+static int do_realtime(void *object, void *argument)
+{
+    dpm_worker *worker = object;
+    const struct realtime_call *call = argument;
+    const struct sched_param parameter = {.sched_priority = call->wish->priority};
+    dpm_refusals *refusals = call->refusals;
+    if (!worker->stack)
+        return DPM_E_MODE;
+    refusals->priority = sched_setscheduler(0, parameter.sched_priority ? SCHED_FIFO : SCHED_OTHER, &parameter) < 0 ? errno : 0;
+    refusals->cpu = call->wish->cpu < 0 ? 0 : set_cpu(call->wish->cpu);
+    refusals->lock = call->wish->lock ? lock_stack(worker) : 0;
+    if (!call->wish->lock)
+        unlock_stack(worker);
+    return DPM_OK;
+}
+
+int dpm_worker_realtime(dpm_worker *worker, const dpm_realtime *wish, dpm_refusals *refusals)
+{
+    struct realtime_call call = {wish, refusals};
+    if (wish->priority < 0 || wish->priority > 99 || wish->cpu < -1 || wish->cpu >= CPU_SETSIZE)
+        return DPM_E_ARGUMENT;
+    return dpm_worker_call(worker, do_realtime, worker, &call);
+}
+
+/* ---- waits ---- */
 
 int dpm_worker_wait(dpm_worker *worker, uint32_t seen, int64_t timeout)
 {

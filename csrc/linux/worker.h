@@ -13,9 +13,14 @@
 
 #include "dpmaster/error.h"
 #include "dpmaster/machine.h"
+#include "dpmaster/realtime.h"
 
 typedef struct dpm_worker {
     pthread_t thread;
+    void *(*run)(void *context);
+    void *context;
+    uintptr_t stack;              /* where the thread began; its stack grows down from here */
+    uintptr_t locked;             /* the part up to `stack` that stays in memory begins here; 0: none does */
     pid_t owner;                  /* the process that opened it; in a child every call is DPM_E_FORKED */
     int wake_fd;                  /* eventfd, O_CLOEXEC: a call is pending or the end is wanted */
     bool running;                 /* under `callers` */
@@ -42,6 +47,8 @@ bool dpm_worker_stop(dpm_worker *worker);
 int dpm_worker_call(dpm_worker *worker, int (*fn)(void *object, void *argument), void *object, void *argument);
 /* As dpm_bus_wait; a negative timeout or DPM_NEVER has no end. */
 int dpm_worker_wait(dpm_worker *worker, uint32_t seen, int64_t timeout);
+/* Schedule the running thread anew. DPM_E_MODE before it runs, DPM_E_ARGUMENT, DPM_E_CLOSED, DPM_E_FORKED. */
+int dpm_worker_realtime(dpm_worker *worker, const dpm_realtime *wish, dpm_refusals *refusals);
 
 /* On the thread, whenever wake_fd is readable: drain it and run the pending call, if any. */
 void dpm_worker_serve(dpm_worker *worker);

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+from functools import partial
 from typing import Any
 
 from dpmaster import _arguments
@@ -12,19 +13,22 @@ from dpmaster.bus import port_error
 from dpmaster.emulator.card import Card
 from dpmaster.emulator.host import Host, bus_parameters, describe
 from dpmaster.errors import ConfigurationError, PortError
+from dpmaster.realtime import Realtime, schedule, wished
 
 __all__ = ["Line"]
 
 
 class Line(Host):
     """Opens `port` at `baudrate` (bit/s) and answers there for `cards`, all of which must be known from the start: the
-    slaves' machine belongs to the bus thread from then on. Raises PortError when the port cannot be opened.
+    slaves' machine belongs to the bus thread from then on. `realtime` schedules that thread, as `Master`'s; what came of it is
+    in `scheduling`. Raises PortError when the port cannot be opened.
     """
 
     _room = "dpm_bus"
 
-    def __init__(self, port: str, *cards: Card, baudrate: int) -> None:
+    def __init__(self, port: str, *cards: Card, baudrate: int, realtime: Realtime | bool | None = None) -> None:
         super().__init__()
+        wished(realtime)
         if not cards:
             raise ConfigurationError("cards: a line needs at least one card")
         self._path = _arguments.path(port)
@@ -35,6 +39,9 @@ class Line(Host):
             for card in cards:
                 self._attach(card)
             check(lib.dpm_bus_start_slaves(self._object, self._slaves), "start a line")
+            self.scheduling = schedule(realtime, self._info().port.profile != lib.DPM_PROFILE_PTY,
+                                       partial(self._call, "realtime"), [self._block, self._slaves_block],
+                                       f"the line on {self._path}")
             self._begin()
         except BaseException:
             self._closed = True
@@ -70,11 +77,15 @@ class Line(Host):
     def _shut(self) -> None:
         lib.dpm_bus_close(self._object)
 
+    def _info(self) -> Any:
+        info = ffi.new("dpm_bus_info *")
+        check(lib.dpm_bus_get_info(self._object, info), f"state of {self._path}")
+        return info
+
     def check(self) -> None:
         """Raise what has gone wrong: DPError when a card failed, PortError when the port has vanished."""
         super().check()
-        info = ffi.new("dpm_bus_info *")
-        check(lib.dpm_bus_get_info(self._object, info), f"state of {self._path}")
+        info = self._info()
         if info.port_error:
             cards = ", ".join(describe(slot.card) for slot in self._slots)
             text = ffi.string(lib.dpm_strerror(info.port_error)).decode()

@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from dpmaster._arguments import number
 from dpmaster._core import NS, block, check, ffi, lib
 from dpmaster.emulator.host import CardT, Host, bus_parameters
 from dpmaster.errors import ConfigurationError
+from dpmaster.realtime import Realtime, schedule, wished
 
 __all__ = ["PortPath", "Segment", "SegmentInfo"]
 
@@ -59,7 +61,8 @@ class SegmentInfo:
 class Segment(Host):
     """A wire of this process. `baudrate` (bit/s) paces it, None does not; `nominal` is the rate whose times (min Tsdr)
     attached cards keep when it is unpaced. With `echo` every port hears itself. `ports` and `cards` are the most there
-    can be (0..64, 0..126).
+    can be (0..64, 0..126). `realtime` schedules the hub's thread as `Master`'s, if it is asked for; what came of it is in
+    `scheduling`.
 
     A port exists on the wire while somebody has it open: who opens it hears what is said from then on.
     """
@@ -67,8 +70,9 @@ class Segment(Host):
     _room = "dpm_segment"
 
     def __init__(self, baudrate: int | None = None, *, echo: bool = False, ports: int = 8, cards: int = 32,
-                 nominal: int = NOMINAL) -> None:
+                 nominal: int = NOMINAL, realtime: Realtime | bool | None = None) -> None:
         super().__init__()
+        wished(realtime)
         for name, value, most in ("ports", ports, lib.DPM_SEGMENT_PORTS), ("cards", cards, 126):
             if not isinstance(value, int) or not 0 <= value <= most:
                 raise ConfigurationError(f"{name} {value!r}: a segment takes 0 to {most}")
@@ -87,6 +91,7 @@ class Segment(Host):
         self._last = self._info()
         try:
             check(lib.dpm_segment_start(self._object), "start a segment")
+            self.scheduling = schedule(realtime, False, partial(self._call, "realtime"), [self._block], "the segment's hub")
             self._begin()
         except BaseException:
             self._shut()

@@ -8,6 +8,7 @@
 
 #include "dpmaster/master.h"
 #include "dpmaster/port.h"
+#include "dpmaster/realtime.h"
 #include "dpmaster/slave.h"
 
 typedef struct dpm_bus dpm_bus;
@@ -28,6 +29,8 @@ DPM_API int dpm_bus_start(dpm_bus *bus, dpm_machine *machine, dpm_master *master
 /* Stop the thread, close the port, wake every waiter with DPM_E_CLOSED. Idempotent; returns within a second. */
 DPM_API void dpm_bus_close(dpm_bus *bus);
 DPM_API int dpm_bus_get_info(dpm_bus *bus, dpm_bus_info *info);
+/* Schedule the running bus thread. DPM_E_MODE before it runs, DPM_E_ARGUMENT, DPM_E_CLOSED, DPM_E_FORKED. */
+DPM_API int dpm_bus_realtime(dpm_bus *bus, const dpm_realtime *wish, dpm_refusals *refusals);
 
 /* A counter that grows whenever something an onlooker may wait for has changed. */
 DPM_API uint32_t dpm_bus_progress(const dpm_bus *bus);

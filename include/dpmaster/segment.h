@@ -7,6 +7,7 @@
 #ifndef DPMASTER_SEGMENT_H
 #define DPMASTER_SEGMENT_H
 
+#include "dpmaster/realtime.h"
 #include "dpmaster/slave.h"
 
 #define DPM_SEGMENT_PORTS 64
@@ -54,6 +55,7 @@ DPM_API void dpm_segment_close(dpm_segment *segment);
 
 DPM_API uint32_t dpm_segment_progress(const dpm_segment *segment);
 DPM_API int dpm_segment_wait(dpm_segment *segment, uint32_t seen, int64_t timeout); /* as dpm_bus_wait */
+DPM_API int dpm_segment_realtime(dpm_segment *segment, const dpm_realtime *wish, dpm_refusals *refusals); /* as dpm_bus_realtime */
 
 /* Run on the hub's thread. */
 DPM_API int dpm_segment_attach(dpm_segment *segment, const dpm_slave_config *config, dpm_image *outputs, dpm_image *inputs);
