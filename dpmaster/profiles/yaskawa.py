@@ -160,6 +160,8 @@ class Function(IntEnum):
 
     NONE = 0x00
     READ = 0x03
+    LOOP_BACK = 0x08
+    """SI-P3 only."""
     WRITE = 0x10
 
 
