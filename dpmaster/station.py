@@ -260,10 +260,12 @@ class Station:
                                      "set all of them, or use update(offset, octets)")
         self.update(0, given)
 
-    def update(self, offset: int, octets: bytes | bytearray | Iterable[int]) -> int:
+    def update(self, offset: int, octets: bytes | bytearray | Iterable[int], keep: bytes = b"") -> int:
         """Change some outputs and commit the whole image in one step; returns the commit's number (1, 2, ...).
 
-        Octets not named keep what the last commit gave them. Any thread may call. It feeds the output watchdog and makes the
+        Octets not named keep what the last commit gave them, and so do bits set in `keep`, a mask as long as `octets` (none:
+        all bits change): what is kept is that of the epoch the commit is made in, so never an order from before a loss. Any
+        thread may call. It feeds the output watchdog and makes the
         calling thread the one whose waits do so. Raises ConfigurationError outside the image, NotOperatingError when the
         output watchdog has latched outputs safe, ClosedError.
         """
@@ -272,8 +274,10 @@ class Station:
         if not isinstance(offset, int) or offset < 0 or offset + len(data) > self.output_length:
             raise ConfigurationError(f"{self.name} has output octets 0 to {self.output_length - 1}; {len(data)} octets at "
                                      f"offset {offset!r} do not fit")
+        if len(keep) not in (0, len(data)):
+            raise ConfigurationError(f"{self.name}: a mask of {len(keep)} octets for {len(data)} octets: as many, or none")
         with self._commit_lock:
-            number = lib.dpm_outputs_commit(self._outputs, offset, data, len(data), _core.now())
+            number = lib.dpm_outputs_change(self._outputs, offset, keep or ffi.NULL, data, len(data), _core.now())
         if number == lib.DPM_E_LATCHED:
             raise NotOperatingError(master._latch_text(), dpm_code=number)
         _core.check(number, f"commit outputs of {self.name}")

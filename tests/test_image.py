@@ -38,6 +38,9 @@ class Outputs:
     def commit(self, octets: bytes, offset: int = 0, now: int = 0) -> int:
         return int(lib.dpm_outputs_commit(self.it, offset, octets, len(octets), now))
 
+    def change(self, octets: bytes, keep: bytes, offset: int = 0) -> int:
+        return int(lib.dpm_outputs_change(self.it, offset, keep, octets, len(octets), 0))
+
     def take(self) -> tuple[int, bytes]:
         frame = lib.dpm_outputs_take(self.it)
         return frame.number, bytes(frame.octets[0 : frame.length])
@@ -207,6 +210,20 @@ def test_the_latch_refuses_commits_until_it_is_taken_off() -> None:
     assert outputs.take() == (0, ZEROS), "taking the latch off brings nothing back"
     assert outputs.commit(b"\x02", offset=1) == 2, "a refused commit has no number"
     assert outputs.take() == (2, b"\0\x02\0\0")
+
+
+def test_a_change_keeps_the_bits_of_its_own_epoch_only() -> None:
+    """design page: "only a commit made after its return reaches it": nor may one made then carry an old run bit over."""
+    outputs = Outputs()
+    outputs.commit(b"\x0f\x11")
+    assert outputs.change(b"\x80\x02", b"\x0e\x00") == 2
+    assert outputs.take() == (2, b"\x8e\x02\0\0")
+    outputs.safe()
+    assert outputs.change(b"\x80\x02", b"\x0e\xff") == 3
+    assert outputs.take() == (3, b"\x80\x02\0\0")
+    assert outputs.change(b"\0\0", b"\0\0", offset=3) == lib.DPM_E_LENGTH
+    outputs.safe(latch=True)
+    assert outputs.change(b"\0", b"\0") == lib.DPM_E_LATCHED
 
 
 STEP = st.one_of(

@@ -82,8 +82,10 @@ class VirtualV7(YaskawaV7):
     def outputs(self) -> bytes:
         return self._image
 
-    def update(self, offset: int, octets: bytes) -> int:  # type: ignore[override]
+    def update(self, offset: int, octets: bytes, keep: bytes = b"") -> int:  # type: ignore[override]
         assert offset >= 0 and offset + len(octets) <= self._size
+        if keep:
+            octets = bytes(a & k | b for a, k, b in zip(self._image[offset:], keep, octets, strict=False))
         self._image = self._image[:offset] + bytes(octets) + self._image[offset + len(octets):]
         self._number += 1
         return self._number

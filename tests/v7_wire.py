@@ -91,8 +91,8 @@ class WireV7(YaskawaV7):
         lib.dpm_outputs_peek(self.bus_master.images[0][0], octets)
         return bytes(octets)
 
-    def update(self, offset: int, octets: bytes) -> int:  # type: ignore[override]
-        number = self.bus_master.commit(0, bytes(octets), self.bus.now, offset)
+    def update(self, offset: int, octets: bytes, keep: bytes = b"") -> int:  # type: ignore[override]
+        number = self.bus_master.commit(0, bytes(octets), self.bus.now, offset, keep)
         assert number > 0, number
         return number
 

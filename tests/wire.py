@@ -127,8 +127,8 @@ class Master:
     def mode(self, mode: int, now: int = 0) -> None:
         assert lib.dpm_master_set_mode(self.master, mode, now) == 0
 
-    def commit(self, index: int, data: bytes, now: int = 0, offset: int = 0) -> int:
-        number = int(lib.dpm_outputs_commit(self.images[index][0], offset, data, len(data), now))
+    def commit(self, index: int, data: bytes, now: int = 0, offset: int = 0, keep: bytes = b"") -> int:
+        number = int(lib.dpm_outputs_change(self.images[index][0], offset, keep or ffi.NULL, data, len(data), now))
         lib.dpm_master_feed(self.master, now, lib.DPM_FED_COMMIT)
         return number
 

@@ -156,6 +156,12 @@ static void shadow_enter(dpm_outputs *outputs, uint32_t epoch)
 
 int64_t dpm_outputs_commit(dpm_outputs *outputs, uint16_t offset, const uint8_t *octets, uint16_t n, int64_t now)
 {
+    return dpm_outputs_change(outputs, offset, NULL, octets, n, now);
+}
+
+int64_t dpm_outputs_change(dpm_outputs *outputs, uint16_t offset, const uint8_t *keep, const uint8_t *octets, uint16_t n,
+                           int64_t now)
+{
     if (offset + n > outputs->shadow.length)
         return DPM_E_LENGTH;
     unsigned state = atomic_load_explicit(&outputs->state, memory_order_acquire);
@@ -164,8 +170,9 @@ int64_t dpm_outputs_commit(dpm_outputs *outputs, uint16_t offset, const uint8_t 
     /* Should the outputs be made safe from here on, the stamp is the old epoch's and no telegram carries the commit. */
     if (outputs->shadow.epoch != state / EPOCH)
         shadow_enter(outputs, (uint32_t)(state / EPOCH));
-    if (n)
-        memcpy(outputs->shadow.octets + offset, octets, n);
+    uint8_t *shadow = outputs->shadow.octets + offset;
+    for (uint16_t i = 0; i < n; i++)
+        shadow[i] = (uint8_t)((keep ? shadow[i] & keep[i] : 0) | octets[i]);
     outputs->shadow.time = now;
     return (int64_t)dpm_image_put(&outputs->image, &outputs->shadow);
 }

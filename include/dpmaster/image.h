@@ -40,6 +40,10 @@ DPM_API dpm_outputs *dpm_outputs_init(void *block, size_t size, uint16_t length)
  * committed before in this epoch; in a new epoch they begin as zeros. Returns the commit's number (1, 2, ...),
  * DPM_E_LENGTH, or DPM_E_LATCHED while latched. */
 DPM_API int64_t dpm_outputs_commit(dpm_outputs *outputs, uint16_t offset, const uint8_t *octets, uint16_t n, int64_t now);
+/* Application: the same, but bits set in `keep` (n octets) stay as the next commit would have them anyway: a bit of a
+ * word is changed with no moment between reading and writing in which an epoch could end and an old bit cross over. */
+DPM_API int64_t dpm_outputs_change(dpm_outputs *outputs, uint16_t offset, const uint8_t *keep, const uint8_t *octets,
+                                   uint16_t n, int64_t now);
 /* Application: 1 when commit `number` (or one after it) was sent and answered, 0 not yet, DPM_E_DISCARDED when it
  * never will be. */
 DPM_API int dpm_outputs_was_sent(const dpm_outputs *outputs, uint64_t number);

@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: MIT
+"""What every drive has in common, on virtual time: one face for a program, words changed in one step, requests in turn."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import threading
+from typing import Any
+
+import pytest
+from v7_bench import VirtualV7
+
+from dpmaster.drives import Drive, DriveStatus, YaskawaV7
+from dpmaster.drives.channel import Channel
+from dpmaster.emulator.cards import SIP1
+from dpmaster.errors import ConfigurationError, DPTimeout, StationError
+from dpmaster.profiles.yaskawa import Command
+
+FACES: dict[str, type[Drive[Any]]] = {"v7": YaskawaV7}
+
+
+def v7(configuration: str = "Extended Data 1", **arguments: Any) -> VirtualV7:
+    return VirtualV7(SIP1(5), configuration, cycle=0.004, **arguments)
+
+
+BENCHES = {f"v7, {name}": functools.partial(v7, name) for name in ("Extended Data 1", "Extended Data 2", "Basic data")}
+
+
+@pytest.fixture(params=BENCHES)
+def drive(request: pytest.FixtureRequest) -> Any:
+    return BENCHES[request.param]()
+
+
+# -- One face ---------------------------------------------------------------------------------------------------------------
+
+
+def turn(drive: Drive[Any]) -> list[float | None]:
+    """A program that knows a drive and not which: each way at a speed, and the frequencies that it saw."""
+    seen = []
+    for reverse in (False, True):
+        drive.run(20.0, reverse=reverse)
+        status: DriveStatus = drive.wait_at_speed(timeout=20.0)
+        assert status.running and status.ready and status.remote and status.valid and status.reverse == reverse
+        assert not status.fault and not status.alarm and not status.zero_speed
+        seen.append(status.output_frequency)
+        drive.stop()
+        status = drive.wait_stopped(timeout=20.0)
+        assert status.zero_speed and not status.running and drive.frequency == 20.0
+    return seen
+
+
+def test_a_program_need_not_know_which_drive_it_has(drive: Any) -> None:
+    assert set(turn(drive)) <= {20.0, None}  # None: the configuration has no such word
+    assert drive.faults() == ()
+
+
+def test_with_neither_hertz_nor_per_cent_it_runs_at_the_setpoint_there_is(drive: Any) -> None:
+    drive.frequency = 15.0
+    drive.let_pass(0.1)
+    assert not drive.status.running, "a set-point starts nothing"
+    drive.run()
+    drive.wait_at_speed(20.0)
+    assert abs(drive.card.motor.frequency) == 15.0
+    drive.run(reverse=True)
+    drive.wait_at_speed(20.0)
+    assert drive.card.motor.frequency == -15.0
+    drive.frequency = 10.0
+    drive.wait_at_speed(20.0)
+    assert drive.card.motor.frequency == -10.0, "a set-point does not turn the drive round"
+
+
+def test_per_cent_are_of_the_highest_frequency() -> None:
+    drive = v7()
+    drive.run(percent=50.0)
+    drive.wait_at_speed(20.0)
+    assert (drive.card.motor.frequency, drive.frequency, drive.percent) == (30.0, 30.0, 50.0)  # n011 is 60 Hz
+    drive.percent = 25.0
+    assert drive.frequency == 15.0
+
+
+@pytest.mark.parametrize(("arguments", "text"), [
+    ({"hz": 20.0, "percent": 20.0}, "give one of them"), ({"percent": 100.5}, "percent 100.5: the limit is 100"),
+    ({"percent": -1}, "percent -1.0 %: give a positive number"), ({"hz": "20"}, "frequency '20' Hz: give a number"),
+    ({"percent": True}, "percent True %: give a number"), ({"hz": float("inf")}, "the limit is"),
+])
+def test_setpoints_out_of_range(arguments: dict[str, Any], text: str) -> None:
+    drive = v7()
+    with pytest.raises(ConfigurationError, match=text):
+        drive.run(**arguments)
+    assert drive.outputs[:4] == bytes(4)
+
+
+def test_a_fault_ends_the_wait_for_the_speed(drive: Any) -> None:
+    drive.run(20.0)
+    drive.external_fault()
+    with pytest.raises(StationError, match="shows a fault"):
+        drive.wait_at_speed(20.0)
+    assert drive.faults() != ()
+    drive.external_fault(False)
+    drive.fault_reset()
+    assert drive.faults() == ()
+
+
+@pytest.mark.parametrize("name", FACES)
+def test_the_face_is_whole_in_every_drive_class(name: str) -> None:
+    drive = FACES[name]
+    assert not inspect.isabstract(drive)
+    for member in ("run", "run_forward", "run_reverse", "stop", "frequency", "percent", "status", "wait_until", "wait_at_speed",
+                   "wait_stopped", "faults", "fault_reset", "__getitem__", "__setitem__"):
+        assert inspect.getdoc(getattr(drive, member)), member
+
+
+# -- A word is read and committed in one step -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("change", [
+    lambda d: d.external_fault(False), lambda d: setattr(d, "frequency", 5.0), lambda d: d._commit_reset(False)])
+def test_a_loss_while_a_word_is_changed_carries_no_run_command_over(change: Any, drive: Any) -> None:
+    """design page: "only a commit made after its return reaches it", and what it says was said after it, too."""
+    drive.run(20.0)
+    drive.wait_at_speed(20.0)
+    plain, armed = drive.update, [True]
+
+    def late(*arguments: Any, **keywords: Any) -> int:
+        """The bus loses the drive and finds it again in the last moment before the commit."""
+        if armed.pop() if armed else False:
+            drive.lose(0.05)
+        return plain(*arguments, **keywords)
+
+    drive.update = late
+    change(drive)
+    assert not armed
+    assert not drive.outputs[1] & Command.RUN
+
+
+# -- Requests in turn -------------------------------------------------------------------------------------------------------
+
+
+def test_requests_are_served_in_the_order_they_came() -> None:
+    channel = Channel(v7())
+    order: list[int] = []
+    queued = threading.Semaphore(0)
+
+    def request(number: int) -> None:
+        queued.release()
+        with channel._turn(30.0):
+            order.append(number)
+
+    threads = [threading.Thread(target=request, args=(number,)) for number in range(10)]
+    with channel._turn(30.0):
+        for place, thread in enumerate(threads):
+            thread.start()
+            assert queued.acquire(timeout=30.0)
+            with channel._moved:
+                assert channel._moved.wait_for(lambda: len(channel._queue) == place + 2, 30.0)  # noqa: B023
+    for thread in threads:
+        thread.join(30.0)
+    assert order == list(range(10))
+
+
+def test_who_waits_too_long_for_its_turn_is_told_so_and_leaves_the_queue() -> None:
+    channel = Channel(v7())
+    with channel._turn(1.0):
+        text = r"1 requests were before this one for 0\.01 s; give it a longer timeout"
+        with pytest.raises(DPTimeout, match=text), channel._turn(0.01):
+            pytest.fail("it was not its turn")
+        assert len(channel._queue) == 1
+    with channel._turn(1.0) as left:
+        assert 0 < left <= 1.0
+    for wrong in (0, -1, "1", None):
+        with pytest.raises(ConfigurationError, match="timeout"), channel._turn(wrong):  # type: ignore[arg-type]
+            pass
