@@ -19,7 +19,7 @@ from cffi import FFI
 ROOT = Path(__file__).resolve().parent.parent
 # In the order of use: a header needs only those before it.
 HEADERS = (
-    "api", "error", "telegram", "machine", "receiver", "parameters", "identifier", "image", "event",
+    "api", "error", "telegram", "machine", "receiver", "parameters", "identifier", "image", "history", "event",
     "station", "master", "slave", "port", "realtime", "bus", "segment", "simulation",
 )
 

@@ -38,11 +38,20 @@ static void make_outputs_safe(dpm_master *m, bool latch, int64_t now)
         dpm_outputs_make_safe(m->slaves[i].outputs, latch);
 }
 
+/* There was a pause: the next cycle begins when it can, and lays the raster anew. */
+static void forget_cycle(dpm_master *m)
+{
+    m->in_cycle = false;
+    m->cycle_at = 0;
+}
+
 static void enter_mode(dpm_master *m, uint8_t mode, int64_t now)
 {
     const uint8_t old = m->mode;
     if (old == mode)
         return;
+    if (old < DPM_MODE_CLEAR)
+        forget_cycle(m);
     m->mode = mode;
     m->control_due = true;
     put_event(m, now, DPM_EV_MODE, mode, old);
@@ -100,6 +109,29 @@ static void judge_watchdog(dpm_master *m, int64_t now)
 
 /* --- the cycle --------------------------------------------------------------------------------------------------- */
 
+static void note_lateness(dpm_lateness *lateness, int64_t late, int64_t allowance)
+{
+    unsigned n = 0;
+    for (int64_t us = late / 1000; us >= 2 && n < DPM_LATENESS_CLASSES - 1; us /= 2)
+        n++;
+    lateness->counts[n]++;
+    lateness->last = late;
+    lateness->max = late > lateness->max ? late : lateness->max;
+    lateness->over += late > allowance;
+}
+
+/* A fixed cycle keeps its raster for ever, whenever the host woke: one that overran is followed at once, and the one after
+ * that is in its place again. Places that passed meanwhile are skipped. */
+static int64_t next_place(dpm_master *m, int64_t now, int64_t interval)
+{
+    if (!m->config.cycle_time)
+        return m->cycle_start + interval > now ? m->cycle_start + interval : now;
+    const int64_t place = m->cycle_at + interval;
+    const int64_t skipped = now > place ? (now - place) / interval : 0;
+    m->lateness.skipped += (uint64_t)skipped;
+    return place + skipped * interval;
+}
+
 static bool begin_cycle(dpm_master *m, int64_t now, int64_t *wake)
 {
     if (!m->fresh_token)
@@ -118,6 +150,9 @@ static bool begin_cycle(dpm_master *m, int64_t now, int64_t *wake)
         m->cycle_max = m->cycle_last > m->cycle_max ? m->cycle_last : m->cycle_max;
     }
     m->cycle_start = now;
+    m->cycle_at = m->cycle_at ? m->cycle_at : now;
+    if (m->config.cycle_time)
+        note_lateness(&m->lateness, now - m->cycle_at, m->station.config.traits.allowance);
     return true;
 }
 
@@ -131,11 +166,12 @@ static void end_cycle(dpm_master *m, int64_t now, int64_t *wake)
         interval = EMPTY_CYCLE;
     m->in_cycle = false;
     m->cycle++;
+    m->began = m->cycle_start;
+    m->ended = now;
+    m->began_late = m->lateness.last;
     m->station.machine.progress++;
-    /* A fixed cycle keeps its raster, whenever the host woke; one that overran begins at once. */
-    m->cycle_at = (m->config.cycle_time ? m->cycle_at : m->cycle_start) + interval;
-    m->cycle_at = m->cycle_at > now ? m->cycle_at : now;
-    *wake = min_of(*wake, m->cycle_at);
+    m->cycle_at = next_place(m, now, interval);
+    *wake = min_of(*wake, m->cycle_at > now ? m->cycle_at : now);
 }
 
 static bool control_request(dpm_master *m, int64_t now, dpm_request *request)
@@ -272,7 +308,7 @@ static void lose_all(dpm_master *m, int64_t now)
 {
     for (unsigned i = 0; i < m->n_slaves; i++)
         dpm_slave_lose(m, &m->slaves[i], now, DPM_WHY_BUS, 0);
-    m->in_cycle = false;
+    forget_cycle(m);
 }
 
 static void master_token(void *context, int64_t now, bool held)
@@ -522,6 +558,10 @@ void dpm_master_get_status(const dpm_master *master, dpm_master_status *status)
         .cycle = master->cycle,
         .cycle_last = master->cycle_last,
         .cycle_max = master->cycle_max,
+        .cycle_began = master->began,
+        .cycle_ended = master->ended,
+        .cycle_late = master->began_late,
+        .lateness = master->lateness,
     };
     dpm_station_statistics(&master->station, &status->fdl);
 }

@@ -58,7 +58,9 @@ struct dpm_master {
     bool control_due;
     unsigned turn, try_turn, asked;
     uint64_t cycle;
-    int64_t cycle_start, cycle_at, cycle_last, cycle_max;
+    int64_t cycle_start, cycle_at, cycle_last, cycle_max; /* cycle_at: the next one's place; 0: where it begins */
+    int64_t began, ended, began_late;                     /* the last whole cycle */
+    dpm_lateness lateness;
     int64_t control_at, try_at;
 
     dpm_slave *current;   /* whose request is under way */

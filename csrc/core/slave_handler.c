@@ -244,6 +244,8 @@ static void keep_diagnosis(dpm_master *m, dpm_slave *slave, int64_t now, const d
     slave->diagnosis_length = n;
     slave->diagnosis_number++;
     slave->diagnosis_time = now;
+    if (slave->set.history)
+        dpm_history_put(slave->set.history, slave->diagnosis_number, now, slave->diagnosis, n);
     slave->statistics.diagnoses++;
     put_event(m, slave, now, DPM_EV_DIAGNOSIS, slave->diagnosis[0], slave->diagnosis[1]);
 }

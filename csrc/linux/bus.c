@@ -364,6 +364,7 @@ typedef struct arguments {
     dpm_outputs *outputs;
     dpm_image *inputs;
     size_t n;
+    uint64_t after;
     bool flag;
     bool ext_diag;
     bool static_diag;
@@ -469,6 +470,18 @@ static int do_get_slave(void *master, void *data)
 int dpm_bus_get_slave(dpm_bus *bus, int index, dpm_slave_status *status)
 {
     return on_master(bus, do_get_slave, (arguments){.number = index, .out = status});
+}
+
+static int do_get_history(void *master, void *data)
+{
+    const arguments *a = data;
+    (void)master;
+    return (int)dpm_history_get(a->in, a->after, a->out, a->n);
+}
+
+int dpm_bus_get_history(dpm_bus *bus, const dpm_history *history, uint64_t after, dpm_diagnosis *records, size_t n)
+{
+    return on_master(bus, do_get_history, (arguments){.in = history, .after = after, .out = records, .n = n});
 }
 
 static int do_record(void *master, void *data)

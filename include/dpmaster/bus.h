@@ -50,6 +50,8 @@ DPM_API int dpm_bus_cancel(dpm_bus *bus, dpm_raw *raw);
 DPM_API int dpm_bus_get_status(dpm_bus *bus, dpm_master_status *status);
 DPM_API int dpm_bus_get_ring(dpm_bus *bus, dpm_ring_view *view);
 DPM_API int dpm_bus_get_slave(dpm_bus *bus, int index, dpm_slave_status *status);
+/* dpm_history_get, of a slave's history; how many records. */
+DPM_API int dpm_bus_get_history(dpm_bus *bus, const dpm_history *history, uint64_t after, dpm_diagnosis *records, size_t n);
 DPM_API int dpm_bus_record(dpm_bus *bus, int64_t *durations, size_t n);
 
 /* The same for a machine of slaves on a bus of its own (an emulated card on somebody else's line). */

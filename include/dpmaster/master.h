@@ -6,6 +6,7 @@
 #ifndef DPMASTER_MASTER_H
 #define DPMASTER_MASTER_H
 
+#include "dpmaster/history.h"
 #include "dpmaster/image.h"
 #include "dpmaster/station.h"
 
@@ -70,6 +71,7 @@ typedef struct dpm_slave_set {
     bool hold;                  /* resume="hold": outputs survive a loss (bare stations only) */
     bool active;                /* false: listed but never asked */
     uint16_t min_slave_interval; /* 100 us, 0..65535 */
+    dpm_history *history;       /* the caller's, where diagnoses are kept; NULL: nowhere */
 } dpm_slave_set;
 
 typedef struct dpm_slave_statistics {
@@ -97,6 +99,17 @@ typedef struct dpm_slave_status {
     dpm_slave_statistics statistics;
 } dpm_slave_status;
 
+#define DPM_LATENESS_CLASSES 20
+
+/* How late cycles of a fixed cycle time began, against a raster that never moves; all 0 when it runs free. */
+typedef struct dpm_lateness {
+    int64_t last;               /* ns */
+    int64_t max;                /* ns */
+    uint64_t over;              /* cycles that began later than the port's allowance */
+    uint64_t skipped;           /* cycles that had no time at all: the one before took theirs */
+    uint64_t counts[DPM_LATENESS_CLASSES]; /* cycles by lateness: class n is under 2^(n+1) us, the last one anything above */
+} dpm_lateness;
+
 typedef struct dpm_master_status {
     uint8_t mode;               /* enum dpm_mode */
     uint8_t fdl_state;          /* enum dpm_fdl_state */
@@ -106,6 +119,10 @@ typedef struct dpm_master_status {
     uint64_t cycle;
     int64_t cycle_last;         /* ns, duration of the last whole cycle */
     int64_t cycle_max;
+    int64_t cycle_began;        /* of the last whole cycle: its start, its end, how late it began */
+    int64_t cycle_ended;
+    int64_t cycle_late;
+    dpm_lateness lateness;
     dpm_fdl_statistics fdl;
 } dpm_master_status;
 
