@@ -4,7 +4,7 @@
 This file only names what a program uses; ``dpmaster.drives`` holds a class per drive, ``dpmaster.emulator`` the bench.
 """
 
-from dpmaster.diagnosis import Diagnosis
+from dpmaster.diagnosis import Diagnosis, DiagnosisHistory, DiagnosisRecord
 from dpmaster.errors import (
     ClosedError,
     CommissioningError,
@@ -36,6 +36,8 @@ __all__ = [
     "DPError",
     "DPTimeout",
     "Diagnosis",
+    "DiagnosisHistory",
+    "DiagnosisRecord",
     "Event",
     "EventKind",
     "Events",

@@ -233,6 +233,13 @@ class Bus:
         self._call(lib.dpm_bus_get_slave(self._handle, index, status), "read a station's status")
         return status
 
+    def history(self, history: Any, room: int) -> list[Any]:
+        """Up to `room` ``dpm_diagnosis`` of a slave, oldest first."""
+        self.guard()
+        records = ffi.new("dpm_diagnosis[]", room)
+        found = self._call(lib.dpm_bus_get_history(self._handle, history, 0, records, room), "read a station's diagnoses")
+        return [records[i] for i in range(found)]
+
     def info(self) -> Any:
         self.guard()
         info = ffi.new("dpm_bus_info *")

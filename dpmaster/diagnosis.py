@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import datetime
 from enum import IntFlag
 from typing import Protocol
 
@@ -18,9 +19,9 @@ from dpmaster._names import Named
 from dpmaster.errors import ConfigurationError
 
 __all__ = [
-    "AlarmBlock", "Block", "ChannelBlock", "DeviceBlock", "Diag", "Diagnosis", "DiagnosisArea", "DiagnosisTables",
-    "DiagnosisTexts", "IdentifierBlock", "ModuleState", "Reason", "RevisionBlock", "StationState", "StatusBlock",
-    "decode_blocks", "why",
+    "AlarmBlock", "Block", "ChannelBlock", "DeviceBlock", "Diag", "Diagnosis", "DiagnosisArea",
+    "DiagnosisHistory", "DiagnosisRecord", "DiagnosisTables", "DiagnosisTexts", "IdentifierBlock", "ModuleState", "Reason",
+    "RevisionBlock", "StationState", "StatusBlock", "decode_blocks", "why",
 ]
 
 
@@ -486,6 +487,37 @@ class Diagnosis:
     def __str__(self) -> str:
         owner = "free" if self.master is None else f"master {self.master}"
         return f"ident {self.ident_number:04X}h, {owner}: {'; '.join(self.explain()) or 'nothing to report'}"
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnosisRecord:
+    """An answer of a history, or the same one `count` times in a row.
+
+    ``diagnosis`` has number and time of the last of them; ``first`` is when the first one came, in s of `time.monotonic`.
+    ``since`` and ``until`` are the same times on the wall clock, as it stood when the history was read.
+    """
+
+    diagnosis: Diagnosis
+    count: int
+    first: float
+    since: datetime
+    until: datetime
+
+    def __str__(self) -> str:
+        again = f", {self.count} times until {self.until:%H:%M:%S}" if self.count > 1 else ""
+        return f"{self.since:%Y-%m-%d %H:%M:%S}{again}: {self.diagnosis}"
+
+
+class DiagnosisHistory(tuple[DiagnosisRecord, ...]):
+    """A station's last diagnoses, oldest first. Numbers (`Diagnosis.number`) count all answers from 1, so a program that
+    remembers the last one it saw knows what is new, and with `overflow` whether it missed any."""
+
+    __slots__ = ()
+
+    @property
+    def overflow(self) -> int:
+        """Answers that were dropped for want of room, since the station was added: those with a number up to this one."""
+        return self[0].diagnosis.number - self[0].count if self else 0
 
 
 _OBSTACLES = (

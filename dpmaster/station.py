@@ -11,12 +11,13 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from datetime import datetime, timedelta
 from typing import TYPE_CHECKING, Any, Literal
 
 from dpmaster import _arguments, _core
 from dpmaster._core import NS, ffi, lib
 from dpmaster.bus import Feed, Mode
-from dpmaster.diagnosis import Diagnosis, Reason, StationState, judge, why
+from dpmaster.diagnosis import Diagnosis, DiagnosisHistory, DiagnosisRecord, Reason, StationState, judge, why
 from dpmaster.errors import ConfigurationError, DPTimeout, NotOperatingError, OutputsDiscarded, StationError
 
 if TYPE_CHECKING:
@@ -26,12 +27,14 @@ __all__ = ["Frame", "Station", "StationState", "StationStatistics"]
 
 Watchdog = float | Literal["default"] | None
 
+DIAGNOSES = 64  # that a station's history has room for
 BY_HAND_WATCHDOG = 1.0  # s, of a Set_Prm by hand when the station says "default": no cycle is there to predict it from
 WATCHDOG_MAX = 650.25  # s, 255 * 255 * 10 ms
 USER_PARAMETERS_MAX = 237  # octets of User_Prm_Data in Set_Prm
 
 # Station_Status of Set_Prm, EN 50170 part 8
 _WD_ON, _FREEZE_REQ, _SYNC_REQ, _UNLOCK_REQ, _LOCK_REQ = 0x08, 0x10, 0x20, 0x40, 0x80
+_DPV1_ENABLE = 0x80  # of DPV1_Status_1
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,9 +158,11 @@ class Station:
 
     def _attach(self, master: Master) -> None:
         """Become `master`'s: the process image begins."""
-        outputs, image = self._memory = (_core.block(lib.dpm_outputs_size()), _core.block(lib.dpm_image_size()))
+        sizes = lib.dpm_outputs_size(), lib.dpm_image_size(), lib.dpm_history_size(DIAGNOSES)
+        outputs, image, history = self._memory = tuple(map(_core.block, sizes))
         self._outputs = lib.dpm_outputs_init(outputs, len(outputs), self.output_length)
         self._image = lib.dpm_image_init(image, len(image))
+        self._history = lib.dpm_history_init(history, len(history), DIAGNOSES)
         self._master = master
 
     def _settings(self) -> Any:
@@ -177,6 +182,7 @@ class Station:
         settings.hold = self.resume == "hold"
         settings.active = self.active
         settings.min_slave_interval = self.min_slave_interval
+        settings.history = self._history
         return settings
 
     def _features(self) -> int:
@@ -362,7 +368,27 @@ class Station:
     def diagnosis(self) -> Diagnosis | None:
         """The last diagnosis fetched, None before the first."""
         status = self._status()
-        return None if status is None else _diagnosis(status)
+        return None if status is None else _diagnosis(status, self._dpv1)
+
+    @property
+    def diagnosis_history(self) -> DiagnosisHistory:
+        """The last 64 diagnoses fetched, with times, oldest first; the same one several times in a row is one record."""
+        master = self._owner()
+        records = [] if self._index is None else master._bus.history(self._history, DIAGNOSES)
+        here, now = datetime.now().astimezone(), _core.now()
+
+        def record(found: Any) -> DiagnosisRecord:
+            octets = bytes(ffi.buffer(found.octets, found.length))
+            since, until = (here - timedelta(microseconds=(now - time) / 1000) for time in (found.first, found.time))
+            return DiagnosisRecord(Diagnosis(octets, found.number, found.time / NS, self._dpv1), found.count, found.first / NS,
+                                   since, until)
+
+        return DiagnosisHistory(map(record, records))
+
+    @property
+    def _dpv1(self) -> bool:
+        """DPV1_Enable is set in DPV1_Status_1, the first octet of a DP-V1 slave's user parameters."""
+        return bool(self.user_parameters[:1] and self.user_parameters[0] & _DPV1_ENABLE)
 
     @property
     def statistics(self) -> StationStatistics:
@@ -382,7 +408,7 @@ class Station:
         if len(answer) < 6:
             raise StationError(f"{self.name} answered Slave_Diag with {len(answer)} octets, 6 at least are due",
                                address=self.address, reason="invalid answer")
-        return Diagnosis(answer, time=_core.now() / NS)
+        return Diagnosis(answer, time=_core.now() / NS, dpv1=self._dpv1)
 
     def set_prm(self, user_parameters: bytes | None = None, *, lock: bool = True, unlock: bool = False,
                 watchdog: Watchdog = "default", ident_number: int | None = None, timeout: float = 1.0) -> None:
@@ -430,8 +456,8 @@ class Station:
         return answer.data
 
 
-def _diagnosis(status: Any) -> Diagnosis | None:
+def _diagnosis(status: Any, dpv1: bool = False) -> Diagnosis | None:
     if status.diagnosis_length < 6:
         return None
     octets = bytes(ffi.buffer(status.diagnosis, status.diagnosis_length))
-    return Diagnosis(octets, status.diagnosis_number, status.diagnosis_time / NS)
+    return Diagnosis(octets, status.diagnosis_number, status.diagnosis_time / NS, dpv1)

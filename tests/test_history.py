@@ -3,14 +3,19 @@
 
 from __future__ import annotations
 
+from datetime import datetime, timedelta
 from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from test_dp_master import FREE, READY, SC, Bus, diagnosis, frame
+from test_master_pty import CONFIGURATION, IDENT, Echo, until
 
+from dpmaster import Master, Station
 from dpmaster._core import block, ffi, lib
+from dpmaster.emulator import Segment
+from dpmaster.station import DIAGNOSES
 
 
 class History:
@@ -99,3 +104,43 @@ def test_the_master_keeps_every_answer_to_slave_diag() -> None:
         ("88 0c 00 07 0a 35 03 01 02", 1, 8)]
     assert records[1].first < records[1].time < records[2].time
     assert bus.slave.diagnosis_number == 8
+
+
+class Talkative(Echo):
+    max_diagnosis = 32
+
+
+def test_a_program_misses_no_diagnosis_and_is_told_of_those_dropped() -> None:
+    """With nobody subscribed, and no read while they come: what the room holds is there, the rest is counted."""
+    with Segment() as wire:
+        card = wire.attach(Talkative(5))
+        with Master(wire.port(), output_watchdog=None) as master:
+            station = master.add(Station(5, IDENT, CONFIGURATION))
+            assert (station.diagnosis_history, station.diagnosis_history.overflow) == ((), 0)
+            before = datetime.now().astimezone()
+            master.operate()
+            known = station.diagnosis_history[-1].diagnosis.number
+
+            def announce(numbers: range) -> None:
+                for n in numbers:
+                    fetched = station.statistics.diagnoses
+                    wire.set_diagnosis(card, bytes([4, n, n, n]), ext_diag=True)
+                    until(lambda before=fetched: station.statistics.diagnoses > before)
+
+            announce(range(1, 21))
+            history = station.diagnosis_history
+            news = [record for record in history if record.diagnosis.number > known]
+            assert [record.diagnosis.extended[1] for record in news] == list(range(1, 21))
+            assert [record.diagnosis.number for record in news] == list(range(known + 1, known + 21))
+            assert history.overflow == 0
+            assert history[-1].diagnosis == station.diagnosis
+            announce(range(21, DIAGNOSES + 31))
+            history = station.diagnosis_history
+            assert len(history) == DIAGNOSES
+            assert history[-1].diagnosis.number - sum(record.count for record in history) == history.overflow > 0
+            after = datetime.now().astimezone()
+            times = [time for record in history for time in (record.since, record.until)]
+            slack = timedelta(milliseconds=5)  # two clocks that are read one after the other
+            assert times == sorted(times)
+            assert before - slack < times[0] < times[-1] < after + slack
+            assert "device diagnosis: 5E 5E 5E" in str(history[-1])
