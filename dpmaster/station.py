@@ -135,6 +135,7 @@ class Station:
         self._commit_lock = threading.Lock()
         self._image_lock = threading.Lock()
         self._factors = (0, 0)
+        self._history: Any = ffi.NULL
 
     def _check(self) -> None:
         if self.min_tsdr:
