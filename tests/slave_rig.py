@@ -6,6 +6,7 @@ Telegrams are made here octet by octet, not by the library's encoder. Times are 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,7 +20,7 @@ MIN_TSDR, MAX_TSDR = 11 * TBIT, 100 * TBIT  # the standard set for 500 kbit/s
 MS = 1_000_000
 NEVER: int = lib.DPM_NEVER
 WAIT_PRM, WAIT_CFG, DATA_EXCH = lib.DPM_SL_WAIT_PRM, lib.DPM_SL_WAIT_CFG, lib.DPM_SL_DATA_EXCH
-RD_INP, RD_OUTP, GLOBAL_CONTROL, GET_CFG, SLAVE_DIAG, SET_PRM, CHK_CFG = 56, 57, 58, 59, 60, 61, 62
+SET_SLAVE_ADD, RD_INP, RD_OUTP, GLOBAL_CONTROL, GET_CFG, SLAVE_DIAG, SET_PRM, CHK_CFG = 55, 56, 57, 58, 59, 60, 61, 62
 SC = b"\xe5"
 OUT, ZEROS = bytes(range(1, 7)), bytes(6)
 POWER_UP = bytes.fromhex("02 05 00 FF 00 CA")  # page H.1 "power-up 02 05 00 FF id id"
@@ -54,6 +55,8 @@ class SlaveConfig:
     freeze: bool = True
     max_diagnosis: int = 244
     min_tsdr: int = 11
+    more: Mapping[str, Any] = field(default_factory=dict)
+    """Further fields of dpm_slave_config by name; what is disputed among them."""
 
     def c(self) -> Any:
         config = ffi.new("dpm_slave_config *")
@@ -66,6 +69,8 @@ class SlaveConfig:
         config.user_parameters_min, config.user_parameters_max = self.user_parameters
         config.fail_safe, config.sync_supported, config.freeze_supported = self.fail_safe, self.sync, self.freeze
         config.max_diagnosis, config.min_tsdr = self.max_diagnosis, self.min_tsdr
+        for name, value in self.more.items():
+            setattr(config, name, value)
         return config
 
 
@@ -247,9 +252,9 @@ def master(rig: Rig) -> Initiator:
     return Initiator(rig)
 
 
-def running(**config: Any) -> tuple[Rig, Initiator]:
+def running(more: Mapping[str, Any] | None = None, **config: Any) -> tuple[Rig, Initiator]:
     """A slave in Data_Exchange with a master that is in step with it."""
-    rig = Rig((SlaveConfig(**config),))
+    rig = Rig((SlaveConfig(**config, more=more or {}),))
     master = Initiator(rig)
-    master.start()
+    master.start(configuration=rig.configs[0].configurations[0])
     return rig, master

@@ -7,6 +7,7 @@ Pages and rows are the protocol page's.
 from __future__ import annotations
 
 import pytest
+from named_tests import check_named
 from slave_rig import (
     CHK_CFG,
     DATA_EXCH,
@@ -110,6 +111,76 @@ def test_start_with_get_cfg_and_stat_diag_rows_26_to_33() -> None:
 
 
 # ---- page I.1: the states, a test for each row ----
+
+
+ROWS = {
+    "any (after init) | FDL status request": "test_slave_services.py::test_any_state_answers_status_diag_and_get_cfg",
+    "any | Slave_Diag (any master)": "test_slave_services.py::test_any_state_answers_status_diag_and_get_cfg "
+                                     "test_slave_services.py::test_diagnosis_flag_until_the_own_master_fetched",
+    "any | Get_Cfg (any master)": "test_slave_services.py::test_any_state_answers_status_diag_and_get_cfg "
+                                  "test_slave_services.py::test_the_configuration_chosen_is_told_and_sets_the_lengths",
+    "POWER-ON | without a valid address": "test_slave_address.py::test_a_slave_at_126_waits_and_does_nothing_else",
+    "WAIT-PRM | Set_Slave_Add ok": "test_slave_address.py::test_the_telegram_of_row_56",
+    "WAIT-PRM | Set_Prm, Lock=1 Unlock=0, ident ok, prm ok":
+        "test_slave_services.py::test_good_set_prm_locks_and_asks_for_chk_cfg",
+    "WAIT-PRM | Set_Prm bad ident / bad length / bad user prm":
+        "test_slave_services.py::test_bad_set_prm_is_acknowledged_and_refused",
+    "WAIT-PRM | Set_Prm Lock=Unlock=0":
+        "test_slave_services.py::test_set_prm_without_lock_and_unlock_takes_min_tsdr_only "
+        "test_slave_settings.py::test_user_parameters_without_lock_and_unlock",
+    "WAIT-PRM | Chk_Cfg, Data_Exchange, RD_Inp, RD_Outp": "test_slave_services.py::test_wait_prm_refuses_what_needs_parameters",
+    "WAIT-PRM | Global_Control": "test_slave_services.py::test_wait_prm_refuses_what_needs_parameters",
+    "WAIT-CFG | Set_Prm from the same master": "test_slave_services.py::test_set_prm_again_in_wait_cfg",
+    "WAIT-CFG | Set_Prm Unlock": "test_slave_services.py::test_unlock_releases",
+    "WAIT-CFG | Chk_Cfg from own master, ok": "test_slave_services.py::test_good_chk_cfg_opens_the_exchange "
+                                              "test_slave_services.py::test_station_not_ready_until_the_application_is",
+    "WAIT-CFG | Chk_Cfg wrong": "test_slave_services.py::test_wrong_chk_cfg "
+                                "test_slave_settings.py::test_master_add_after_a_wrong_configuration",
+    "WAIT-CFG | Data_Exchange": "test_slave_services.py::test_wait_cfg_refuses_exchange",
+    "DATA-EXCH | Data_Exchange from own master, right length": "test_slave_services.py::test_exchange_octets_rows_41_to_43",
+    "DATA-EXCH | Data_Exchange, wrong output length":
+        "test_slave_services.py::test_wrong_output_length test_slave_settings.py::test_the_answer_to_outputs_of_a_wrong_length",
+    "DATA-EXCH | Data_Exchange with 0 octets, slave in Fail_Safe mode":
+        "test_slave_services.py::test_empty_exchange_of_a_fail_safe_slave_is_clear",
+    "DATA-EXCH | Set_Prm own master, ok; faulty": "test_slave_settings.py::test_set_prm_in_exchange "
+                                                  "test_slave_settings.py::test_a_faulty_set_prm_in_exchange_always_leaves",
+    "DATA-EXCH | Set_Prm Unlock (own master)": "test_slave_services.py::test_unlock_releases",
+    "DATA-EXCH | Chk_Cfg own master, ok / not ok":
+        "test_slave_services.py::test_the_configuration_chosen_is_told_and_sets_the_lengths "
+        "test_slave_services.py::test_wrong_chk_cfg",
+    "WAIT-CFG, DATA-EXCH | watchdog expired": "test_slave.py::test_watchdog_expires_exactly_after_its_time "
+                                              "test_slave.py::test_watchdog_runs_in_wait_cfg_and_unplugged",
+    "locked | Set_Prm/Chk_Cfg/Data_Exchange from ANOTHER master": "test_slave_settings.py::test_another_master_while_locked",
+    "DATA-EXCH | baud lost / bus off": "test_slave_baud.py::test_dp_control_belongs_to_the_watchdog "
+                                       "test_slave_baud.py::test_a_rate_lost_without_watchdog_leaves_the_outputs",
+    "I.2 DH until the OWN master has fetched": "test_slave_services.py::test_diagnosis_flag_until_the_own_master_fetched",
+    "I.2 with Stat_Diag=1 the flag stays on": "test_slave_services.py::test_static_diagnosis_keeps_the_flag",
+    "I.2 slave without inputs": "test_slave_settings.py::test_announcing_without_inputs",
+    "I.3 supervised in WAIT-CFG and DATA-EXCH": "test_slave.py::test_watchdog_runs_in_wait_cfg_and_unplugged",
+    "I.3 retriggered by every correct request of the own master":
+        "test_slave.py::test_watchdog_is_fed_by_requests_of_the_own_master",
+    "I.3 Global_Control": "test_slave_settings.py::test_global_control_and_the_watchdog",
+    "I.3 WD_On=0": "test_slave.py::test_without_watchdog_the_outputs_stay",
+    "I.4 Sync": "test_slave_services.py::test_sync",
+    "I.4 Freeze": "test_slave_services.py::test_freeze",
+    "I.4 only if enabled and if the group matches; leaving cancels":
+        "test_slave_services.py::test_sync_and_freeze_must_be_asked_for_and_end_with_the_exchange "
+        "test_slave_services.py::test_group_zero_is_everybody_and_others_must_match",
+    "I.4 Clear_Data": "test_slave_services.py::test_clear_and_operate "
+                      "test_slave_services.py::test_clear_in_sync_reaches_buffer_and_terminals",
+    "I.5 Min_Slave_Intervall": "test_slave_baud.py::test_requests_that_come_too_soon_are_counted_and_answered "
+                               "test_slave_baud.py::test_our_master_keeps_the_distance",
+    "I.6 BAUD_SEARCH": "test_slave_baud.py::test_a_search_hears_only_at_the_wires_rate",
+    "I.6 BAUD_CONTROL": "test_slave_baud.py::test_baud_control_is_kept_by_telegrams_to_the_own_address",
+    "I.6 DP_CONTROL": "test_slave_baud.py::test_dp_control_belongs_to_the_watchdog",
+    "I.6 another master takes over": "test_slave_baud.py::test_without_watchdog_it_is_baud_control_again",
+    "I.6 several frames before it answers at all":
+        "test_slave_baud.py::test_the_first_good_telegram_is_not_answered_the_next_one_is",
+}
+
+
+def test_every_row_names_a_test() -> None:
+    check_named(ROWS)
 
 
 @pytest.mark.parametrize("state", [WAIT_PRM, WAIT_CFG, DATA_EXCH])
@@ -324,16 +395,6 @@ def test_empty_exchange_of_a_fail_safe_slave_is_clear() -> None:
     assert (rig.report().state, rig.report().clear) == (DATA_EXCH, True)
     master.srd(None, OUT)
     assert (rig.outputs().octets, rig.outputs().valid, rig.report().clear) == (OUT, True, False)
-
-
-def test_set_prm_in_exchange_asks_for_a_new_chk_cfg(rig: Rig, master: Initiator) -> None:
-    """Rule: "DATA-EXCH | Set_Prm own master, ok | re-parameterise | WAIT-CFG per others": ours."""
-    master.start()
-    master.srd(None, OUT)
-    assert master.prm() == SC
-    assert (rig.report().state, rig.report().master) == (WAIT_CFG, 2)
-    assert (rig.outputs().octets, rig.outputs().valid) == (ZEROS, False)
-    assert master.srd(None, OUT) == master.rs()
 
 
 @pytest.mark.parametrize("state", [WAIT_CFG, DATA_EXCH])

@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: MIT
  *
  * The slaves' side of the wire: one receiver for all of them, the FDL responder of each with frame count bit and
- * stored answer, the times between which an answer may leave, the watchdogs. What a request means is the business of
- * slave_services.c.
+ * stored answer, the times between which an answer may leave, the watchdogs, the search of the rate. What a request
+ * means is the business of slave_services.c.
  *
  * One answer waits at a time, to the latest request: any good telegram revokes it, since the bus has gone on. Noise
  * does not (a hat that glitches when it turns round would never be answered), but while octets lie there that may
@@ -17,12 +17,19 @@
 
 #define SLAVES_MAX 126
 
+/* How long a slave that searches stays at a rate: a poll to somebody absent and its slot time must have room. */
+#define SEARCH_TIME 10000000 /* ns */
+#define SEARCH_BITS 5000
+#define BAUD_CONTROL_UNIT 10000000 /* ns */
+#define SLAVE_INTERVAL_UNIT 100000
+
 struct dpm_slaves {
     dpm_machine machine; /* first: a pointer to one is a pointer to the other */
     dpm_parameters parameters;
     int64_t answer_within; /* ns after a request: max Tsdr and what the host may be late */
     uint16_t room;
     uint16_t count;
+    uint16_t searching; /* slaves that search their rate */
     uint8_t station[DPM_BROADCAST + 1]; /* by address: the slave's index plus 1, 0 none */
     /* The answer that waits to leave. */
     dpm_slave *answering; /* NULL: none */
@@ -30,8 +37,12 @@ struct dpm_slaves {
     size_t answer_length;
     int64_t not_before;
     int64_t not_after;
+    /* The search's round through the rates, ns: when in it the wire's rate is tried, and for how long (0: never). */
+    int64_t search_round;
+    int64_t search_begin;
+    int64_t search_length;
     uint8_t unnumbered[DPM_TELEGRAM_MAX]; /* answers outside the FCB's sequence: the stored ones stay */
-    int64_t deadline[SLAVES_MAX]; /* of the watchdogs, apart from the slaves: searched with every event */
+    int64_t deadline[SLAVES_MAX]; /* of watchdog and rate, apart from the slaves: searched with every event */
     dpm_receiver receiver;
     dpm_slave slave[];
 };
@@ -39,20 +50,117 @@ struct dpm_slaves {
 /* After anything that was done to a slave. */
 static void settle(dpm_slaves *slaves, dpm_slave *slave)
 {
-    slaves->deadline[slave - slaves->slave] = slave->watchdog_deadline;
+    ptrdiff_t index = slave - slaves->slave;
+    slaves->deadline[index] = slave->watchdog_deadline < slave->baud_deadline ? slave->watchdog_deadline : slave->baud_deadline;
+    if (slave->mapped != slave->report.address) {
+        slaves->station[slave->mapped] = 0;
+        slave->mapped = slave->report.address;
+        slaves->station[slave->mapped] = (uint8_t)(index + 1);
+    }
     if (slave->changed)
         slaves->machine.progress++;
     slave->changed = false;
 }
 
-/* ---- watchdogs ---- */
+/* ---- the rate, page I.6 ---- */
+
+/* "BAUD_CONTROL: retriggered by each error-free telegram to the own address"; in DP_CONTROL the watchdog supervises. */
+static void keep_rate(dpm_slave *slave, int64_t time)
+{
+    bool supervised = slave->config.auto_baud && slave->config.baud_control > 0 && !slave->report.watchdog_on;
+    slave->baud_deadline = supervised ? time + slave->config.baud_control * (int64_t)BAUD_CONTROL_UNIT : DPM_NEVER;
+}
+
+static void set_searching(dpm_slaves *slaves, dpm_slave *slave, bool searching)
+{
+    slaves->searching = (uint16_t)(slaves->searching + searching - slave->searching);
+    slave->searching = searching;
+    slave->changed = true;
+}
+
+static void search_rate(dpm_slaves *slaves, dpm_slave *slave, int64_t time)
+{
+    set_searching(slaves, slave, true);
+    slave->search_start = time;
+    slave->baud_deadline = DPM_NEVER;
+}
+
+/* "Starts at 12M, goes down after a monitoring time": where it listens is a matter of time, so a search needs no timer. */
+static bool hears(const dpm_slaves *slaves, const dpm_slave *slave, const dpm_received *received)
+{
+    int64_t since = received->start_latest - slave->search_start;
+    int64_t begin = since % slaves->search_round - slaves->search_begin;
+    return since >= 0 && begin >= 0 &&
+           begin + (received->end_earliest - received->start_latest) <= slaves->search_length;
+}
+
+/* "An error-free SD1/SD2/SD3 telegram (of anybody)" at the rate that is tried. */
+static void find_rate(dpm_slaves *slaves, const dpm_received *received)
+{
+    for (uint16_t i = 0; i < slaves->count; i++) {
+        dpm_slave *slave = &slaves->slave[i];
+        if (!slave->searching || !slave->connected || !hears(slaves, slave, received))
+            continue;
+        set_searching(slaves, slave, false);
+        keep_rate(slave, received->end_latest);
+        settle(slaves, slave);
+    }
+}
+
+/* The way down the table, and where on it the wire's own rate lies. */
+static void plan_search(dpm_slaves *slaves)
+{
+    dpm_parameters at;
+    unsigned n = 0;
+    while (dpm_parameters_rate(n) != 0)
+        n++;
+    while (n-- > 0) {
+        (void)dpm_parameters_default(&at, dpm_parameters_rate(n), 0);
+        int64_t length = SEARCH_TIME + dpm_bits_up(&at, SEARCH_BITS);
+        if ((uint64_t)at.rate_num * slaves->parameters.rate_den == (uint64_t)slaves->parameters.rate_num * at.rate_den) {
+            slaves->search_begin = slaves->search_round;
+            slaves->search_length = length;
+        }
+        slaves->search_round += length;
+    }
+}
+
+static bool listens(const dpm_slave *slave)
+{
+    return slave->connected && !slave->searching;
+}
+
+/* ---- power, watchdogs ---- */
+
+static void power_on(dpm_slaves *slaves, dpm_slave *slave, int64_t now)
+{
+    if (slaves->answering == slave)
+        slaves->answering = NULL;
+    dpm_slave_power_on(slave, now);
+    slave->request_start = now - slave->config.min_slave_interval * (int64_t)SLAVE_INTERVAL_UNIT;
+    slave->baud_deadline = DPM_NEVER;
+    if (slave->config.auto_baud)
+        search_rate(slaves, slave, now);
+    settle(slaves, slave);
+}
+
+static void expire_slave(dpm_slaves *slaves, dpm_slave *slave, int64_t time)
+{
+    if (slave->watchdog_deadline < time) {
+        int64_t deadline = slave->watchdog_deadline;
+        dpm_slave_expire(slave);
+        keep_rate(slave, deadline); /* "DP state machine reset, then BAUD_CONTROL" */
+    }
+    if (slave->baud_deadline < time)
+        search_rate(slaves, slave, slave->baud_deadline);
+}
 
 /* "Octets that lie in a FIFO are never called missing": `time` is one up to which all octets have been seen. */
 static void expire(dpm_slaves *slaves, int64_t time)
 {
     for (uint16_t i = 0; i < slaves->count; i++) {
         if (slaves->deadline[i] < time) {
-            dpm_slave_expire(&slaves->slave[i]);
+            expire_slave(slaves, &slaves->slave[i], time);
             settle(slaves, &slaves->slave[i]);
         }
     }
@@ -107,11 +215,20 @@ static void answer_unnumbered(dpm_slaves *slaves, dpm_slave *slave, const dpm_re
 /* ---- requests ---- */
 
 /* "Retriggered by every correct request of the own master to this slave": SRD and SDA whatever their answer and their
- * repetitions, but neither status requests nor Global_Control: those may go on when the master's DP is long dead. */
+ * repetitions, but no status requests, and Global_Control only where that is set: it may go on when the master's DP is
+ * long dead. */
 static void retrigger(dpm_slave *slave, const dpm_received *request)
 {
     if (slave->report.watchdog_on && slave->report.master == request->telegram.sa)
         slave->watchdog_deadline = request->end_latest + slave->report.watchdog;
+}
+
+/* "The master must keep this distance for every master-slave function": what is certainly less is counted. */
+static void measure_interval(dpm_slave *slave, const dpm_received *request)
+{
+    int64_t least = slave->config.min_slave_interval * (int64_t)SLAVE_INTERVAL_UNIT;
+    slave->report.too_soon += request->start_latest - slave->request_start < least;
+    slave->request_start = request->start_latest - (request->end_latest - request->end_earliest);
 }
 
 /* The responder's frame count bit, page C.2. */
@@ -126,6 +243,7 @@ static void exchange(dpm_slaves *slaves, dpm_slave *slave, const dpm_received *r
         offer_answer(slaves, slave, request, slave->answer, slave->answer_length);
         return;
     }
+    measure_interval(slave, request);
     dpm_reply reply = dpm_slave_serve(slave, request);
     if (!fcv && !fcb) { /* "no FCB evaluation" */
         answer_unnumbered(slaves, slave, request, &reply);
@@ -144,9 +262,24 @@ static bool is_control(const dpm_telegram *telegram)
            telegram->ssap == DPM_SAP_MASTER;
 }
 
+static void control(dpm_slave *slave, const dpm_received *request)
+{
+    if (slave->config.control_feeds)
+        retrigger(slave, request);
+    dpm_slave_control(slave, request);
+}
+
+static dpm_reply identity(const dpm_slave *slave)
+{
+    const dpm_slave_config *config = &slave->config;
+    return (dpm_reply){.fc = config->identity_length > 0 ? DPM_RES_DL : DPM_RES_RS, .data = config->identity,
+                       .length = config->identity_length};
+}
+
 static void request_for(dpm_slaves *slaves, dpm_slave *slave, const dpm_received *request)
 {
     static const dpm_reply status = {.fc = DPM_RES_OK}, refused = {.fc = DPM_RES_RS};
+    dpm_reply who;
     switch (request->telegram.fc & 0x0F) {
     case DPM_SDA_LOW:
     case DPM_SDA_HIGH:
@@ -157,19 +290,23 @@ static void request_for(dpm_slaves *slaves, dpm_slave *slave, const dpm_received
     case DPM_FDL_STATUS:
         answer_unnumbered(slaves, slave, request, &status);
         break;
-    case DPM_IDENT: /* services of FDL management that a DP slave need not have */
+    case DPM_IDENT:
+        who = identity(slave);
+        answer_unnumbered(slaves, slave, request, &who);
+        break;
     case DPM_LSAP_STATUS:
         answer_unnumbered(slaves, slave, request, &refused);
         break;
     case DPM_SDN_LOW:
     case DPM_SDN_HIGH:
         if (is_control(&request->telegram))
-            dpm_slave_control(slave, request);
+            control(slave, request);
         break;
     default: /* time events and reserved codes: silence */
         return;
     }
     slave->report.requests++;
+    keep_rate(slave, request->end_latest);
     settle(slaves, slave);
 }
 
@@ -178,20 +315,16 @@ static void broadcast(dpm_slaves *slaves, const dpm_received *request)
     if (!is_control(&request->telegram)) /* "127: broadcast, SDN only" */
         return;
     for (uint16_t i = 0; i < slaves->count; i++) {
-        if (!slaves->slave[i].connected)
+        if (!listens(&slaves->slave[i]))
             continue;
-        dpm_slave_control(&slaves->slave[i], request);
+        control(&slaves->slave[i], request);
         settle(slaves, &slaves->slave[i]);
     }
 }
 
-static void deliver(dpm_slaves *slaves, const dpm_received *received)
+static void dispatch(dpm_slaves *slaves, const dpm_received *received)
 {
     const dpm_telegram *telegram = &received->telegram;
-    slaves->answering = NULL;
-    expire(slaves, received->end_earliest);
-    if (telegram->format == DPM_SC || telegram->format == DPM_SD4)
-        return;
     /* Bit 7 is for clock values only; SA 126 and segments are no requester of ours (page B.3 rules 4 and 5). */
     if ((telegram->fc & 0xC0) != DPM_FC_REQUEST || telegram->sa > DPM_ADDRESS_MAX || telegram->dsegment >= 0 ||
         telegram->ssegment >= 0)
@@ -200,9 +333,20 @@ static void deliver(dpm_slaves *slaves, const dpm_received *received)
         broadcast(slaves, received);
     } else if (slaves->station[telegram->da] != 0) {
         dpm_slave *slave = &slaves->slave[slaves->station[telegram->da] - 1];
-        if (slave->connected)
+        if (listens(slave))
             request_for(slaves, slave, received);
     }
+}
+
+static void deliver(dpm_slaves *slaves, const dpm_received *received)
+{
+    slaves->answering = NULL;
+    expire(slaves, received->end_earliest);
+    if (received->telegram.format == DPM_SC || received->telegram.format == DPM_SD4)
+        return;
+    dispatch(slaves, received);
+    if (slaves->searching > 0)
+        find_rate(slaves, received);
 }
 
 /* ---- the event contract ---- */
@@ -276,6 +420,7 @@ int dpm_slaves_init(void *block, size_t size, const dpm_parameters *parameters, 
     memset(self, 0, dpm_slaves_size(slaves));
     self->machine = (dpm_machine){.octets = on_octets, .quiet = on_quiet, .sent = on_sent, .ask = on_ask};
     self->parameters = *parameters;
+    plan_search(self);
     self->answer_within = dpm_bits_down(parameters, parameters->max_tsdr) + traits->allowance;
     self->room = slaves;
     /* "A receiver can treat 33 Tbit idle as a definite frame end"; what the port cannot tell is never held against it. */
@@ -301,7 +446,8 @@ static int check_config(const dpm_slaves *slaves, const dpm_slave_config *config
         return DPM_E_CONFIGURATION;
     if (config->user_parameters_min > config->user_parameters_max || config->user_parameters_max > 237 ||
         config->max_diagnosis < 6 || config->max_diagnosis > DPM_IO_MAX || config->min_tsdr < 11 ||
-        config->min_tsdr > 255 || config->min_tsdr >= slaves->parameters.max_tsdr)
+        config->min_tsdr > 255 || config->min_tsdr >= slaves->parameters.max_tsdr ||
+        config->identity_length > DPM_SLAVE_IDENTITY || config->announce > DPM_ANNOUNCE_NEVER)
         return DPM_E_ARGUMENT;
     return DPM_OK;
 }
@@ -339,10 +485,11 @@ int dpm_slaves_add(dpm_slaves *slaves, const dpm_slave_config *config, dpm_image
     slave->inputs = inputs;
     slave->max_tsdr = slaves->parameters.max_tsdr;
     slave->connected = slave->ready = true;
-    slave->report.address = config->address;
-    dpm_slave_power_on(slave, 0);
+    slave->station = slaves->station;
+    slave->report.address = slave->mapped = config->address;
+    slave->report.address_locked = config->address_locked;
     slaves->station[config->address] = (uint8_t)++slaves->count;
-    settle(slaves, slave);
+    power_on(slaves, slave, 0);
     return slaves->count - 1;
 }
 
@@ -355,8 +502,10 @@ int dpm_slaves_get(const dpm_slaves *slaves, int index, dpm_slave_state_report *
 {
     if (index < 0 || index >= slaves->count || !report)
         return DPM_E_ARGUMENT;
-    *report = slaves->slave[index].report;
-    if (!slaves->slave[index].connected)
+    const dpm_slave *slave = &slaves->slave[index];
+    *report = slave->report;
+    report->baud_state = slave->searching ? DPM_BAUD_SEARCH : report->watchdog_on ? DPM_DP_CONTROL : DPM_BAUD_CONTROL;
+    if (!slave->connected)
         report->state = DPM_SL_OFF;
     return DPM_OK;
 }
@@ -379,10 +528,23 @@ int dpm_slaves_reset(dpm_slaves *slaves, int index, int64_t now)
     dpm_slave *slave = find(slaves, index);
     if (!slave)
         return DPM_E_ARGUMENT;
-    if (slaves->answering == slave)
-        slaves->answering = NULL;
-    dpm_slave_power_on(slave, now);
-    settle(slaves, slave);
+    power_on(slaves, slave, now);
+    return DPM_OK;
+}
+
+int dpm_slaves_set_address(dpm_slaves *slaves, int index, uint8_t address, bool locked, int64_t now)
+{
+    dpm_slave *slave = find(slaves, index);
+    if (!slave)
+        return DPM_E_ARGUMENT;
+    if (address >= DPM_BROADCAST)
+        return DPM_E_ADDRESS;
+    if (slaves->station[address] != 0 && slave->report.address != address)
+        return DPM_E_DUPLICATE;
+    slave->report.address = address;
+    slave->report.address_locked = locked;
+    slave->changed = true;
+    power_on(slaves, slave, now);
     return DPM_OK;
 }
 

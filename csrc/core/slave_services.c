@@ -3,14 +3,12 @@
  * The services and states of one DP slave, as a DP ASIC has them (protocol page F to I). It touches the slave and its
  * two images, nothing else.
  *
- * Where the standard's readers disagree, this is what is done:
+ * What is disputed is a setting of dpm_slave_config. Where the standard is silent, this is what is done:
  *   - Outputs are applied from the first Data_Exchange on, as an ASIC does; a card that wants to wait for Operate looks
  *     at `operate_seen`. After a Clear by Global_Control they stay zeros until a Data_Exchange behind an Operate.
- *   - A good Set_Prm in DATA_EXCH leads to WAIT_CFG: new parameters ask for a new Chk_Cfg.
- *   - Whatever leads to WAIT_PRM releases the master: Diag.Master_Add is FF there.
- *   - Another master's Set_Prm, Chk_Cfg or Data_Exchange is refused with RS; Slave_Diag, Get_Cfg and, in DATA_EXCH,
- *     RD_Inp and RD_Outp are for everybody.
- *   - SDA carries only what is answered without data (Set_Prm, Chk_Cfg); anything else by SDA is RS.
+ *   - Whatever leads to WAIT_PRM releases the master.
+ *   - Slave_Diag, Get_Cfg and, in DATA_EXCH, RD_Inp and RD_Outp are for everybody.
+ *   - SDA carries only what is answered without data (Set_Prm, Chk_Cfg, Set_Slave_Add); anything else by SDA is RS.
  */
 #include "core/slave_services.h"
 
@@ -20,6 +18,9 @@
 enum { PRM_STATUS, PRM_WD_FACT_1, PRM_WD_FACT_2, PRM_MIN_TSDR, PRM_IDENT_HIGH, PRM_IDENT_LOW, PRM_GROUP, PRM_USER };
 enum { PRM_WD_ON = 0x08, PRM_FREEZE_REQ = 0x10, PRM_SYNC_REQ = 0x20, PRM_UNLOCK_REQ = 0x40, PRM_LOCK_REQ = 0x80 };
 enum { DPV1_WD_BASE_1MS = 0x04 };
+
+/* Octets of Set_Slave_Add (page F.2). */
+enum { ADD_NEW, ADD_IDENT_HIGH, ADD_IDENT_LOW, ADD_NO_CHANGE, ADD_REMOTE };
 
 /* Bits of the standard diagnosis (page H.1). */
 enum { DIAG_NOT_READY = 0x02, DIAG_CFG_FAULT = 0x04, DIAG_EXT_DIAG = 0x08, DIAG_NOT_SUPPORTED = 0x10, DIAG_PRM_FAULT = 0x40 };
@@ -34,6 +35,7 @@ enum { GC_CLEAR = 0x02, GC_UNFREEZE = 0x04, GC_FREEZE = 0x08, GC_UNSYNC = 0x10, 
 
 static const dpm_reply REPLY_SC = {.short_ack = true};
 static const dpm_reply REPLY_RS = {.fc = DPM_RES_RS};
+static const dpm_reply REPLY_UE = {.fc = DPM_RES_UE};
 
 static dpm_reply reply_data(const uint8_t *data, uint8_t length)
 {
@@ -42,7 +44,12 @@ static dpm_reply reply_data(const uint8_t *data, uint8_t length)
 
 static bool locked_for(const dpm_slave *slave, uint8_t master)
 {
-    return slave->report.master >= 0 && slave->report.master != master;
+    return slave->report.state != DPM_SL_WAIT_PRM && slave->report.master != master;
+}
+
+static dpm_reply refuse_other(const dpm_slave *slave)
+{
+    return slave->config.foreign_sc ? REPLY_SC : REPLY_RS;
 }
 
 /* ---- states and outputs ---- */
@@ -132,9 +139,9 @@ static bool user_parameters_fit(const dpm_slave *slave, const dpm_telegram *prm)
     return length >= slave->config.user_parameters_min && length <= slave->config.user_parameters_max;
 }
 
-static bool ident_matches(const dpm_slave *slave, const uint8_t *prm)
+static bool ident_matches(const dpm_slave *slave, uint8_t high, uint8_t low)
 {
-    return (prm[PRM_IDENT_HIGH] << 8 | prm[PRM_IDENT_LOW]) == slave->config.ident_number;
+    return (high << 8 | low) == slave->config.ident_number;
 }
 
 /* 0 keeps what is; below 11 nothing can be kept on the wire; past max Tsdr no answer would ever leave. */
@@ -168,6 +175,13 @@ static bool parameters_good(dpm_slave *slave, const dpm_telegram *prm)
            set_min_tsdr(slave, prm->data[PRM_MIN_TSDR]);
 }
 
+static void take_user_parameters(dpm_slave *slave, const dpm_telegram *prm)
+{
+    slave->report.user_parameters_length = (uint8_t)(prm->length - PRM_USER);
+    memcpy(slave->report.user_parameters, prm->data + PRM_USER, slave->report.user_parameters_length);
+    slave->changed = true;
+}
+
 static void take_parameters(dpm_slave *slave, const dpm_telegram *prm, int64_t end)
 {
     dpm_slave_state_report *report = &slave->report;
@@ -178,8 +192,18 @@ static void take_parameters(dpm_slave *slave, const dpm_telegram *prm, int64_t e
     report->watchdog_on = status & PRM_WD_ON;
     report->watchdog = report->watchdog_on ? watchdog_time(slave, prm) : 0;
     slave->watchdog_deadline = report->watchdog_on ? end + report->watchdog : DPM_NEVER;
-    report->user_parameters_length = (uint8_t)(prm->length - PRM_USER);
-    memcpy(report->user_parameters, prm->data + PRM_USER, report->user_parameters_length);
+    take_user_parameters(slave, prm);
+}
+
+/* "DATA-EXCH if nothing relevant changed per some stacks, WAIT-CFG per others". */
+static bool stays_in_exchange(const dpm_slave *slave, const dpm_telegram *prm)
+{
+    const dpm_slave_state_report *report = &slave->report;
+    uint8_t status = prm->data[PRM_STATUS];
+    return slave->config.prm_keeps_exchange && report->state == DPM_SL_DATA_EXCH &&
+           slave->sync_enabled == (bool)(status & PRM_SYNC_REQ) && slave->freeze_enabled == (bool)(status & PRM_FREEZE_REQ) &&
+           prm->length - PRM_USER == report->user_parameters_length &&
+           memcmp(prm->data + PRM_USER, report->user_parameters, report->user_parameters_length) == 0;
 }
 
 static dpm_reply refuse_parameters(dpm_slave *slave, int64_t time)
@@ -193,17 +217,21 @@ static dpm_reply set_prm(dpm_slave *slave, const dpm_received *request)
 {
     const dpm_telegram *prm = &request->telegram;
     int64_t time = request->end_latest;
-    if (locked_for(slave, prm->sa))
+    if (slave->report.address > DPM_ADDRESS_MAX)
         return REPLY_RS;
+    if (locked_for(slave, prm->sa))
+        return refuse_other(slave);
     if (prm->length < PRM_USER)
         return refuse_parameters(slave, time);
 
     uint8_t lock = prm->data[PRM_STATUS] & (PRM_LOCK_REQ | PRM_UNLOCK_REQ);
     if (lock == 0) { /* only min Tsdr, "accepted even with a foreign ident number" */
         set_min_tsdr(slave, prm->data[PRM_MIN_TSDR]);
+        if (slave->config.prm_open_takes_user && user_parameters_fit(slave, prm))
+            take_user_parameters(slave, prm);
         return REPLY_SC;
     }
-    if (!ident_matches(slave, prm->data))
+    if (!ident_matches(slave, prm->data[PRM_IDENT_HIGH], prm->data[PRM_IDENT_LOW]))
         return refuse_parameters(slave, time);
     if (lock & PRM_UNLOCK_REQ) { /* with Lock too: "Unlock wins" */
         wait_prm(slave, time);
@@ -213,9 +241,32 @@ static dpm_reply set_prm(dpm_slave *slave, const dpm_received *request)
         return refuse_parameters(slave, time);
 
     slave->prm_fault = false;
-    leave_exchange(slave, time);
+    if (!stays_in_exchange(slave, prm)) {
+        leave_exchange(slave, time);
+        set_state(slave, DPM_SL_WAIT_CFG, prm->sa, -1);
+    }
     take_parameters(slave, prm, time);
-    set_state(slave, DPM_SL_WAIT_CFG, prm->sa, -1);
+    return REPLY_SC;
+}
+
+/* ---- Set_Slave_Add ---- */
+
+/* "Executed only in WAIT-PRM, only if the ident matches and address change not locked; else ignored (still SC)". On the
+ * wire of this machine an address is one slave's. */
+static dpm_reply set_slave_add(dpm_slave *slave, const dpm_telegram *add)
+{
+    dpm_slave_state_report *report = &slave->report;
+    if (!slave->config.set_address)
+        return REPLY_RS;
+    if (report->state != DPM_SL_WAIT_PRM || report->address_locked || add->length < ADD_REMOTE ||
+        add->data[ADD_NEW] > DPM_ADDRESS_MAX || !ident_matches(slave, add->data[ADD_IDENT_HIGH], add->data[ADD_IDENT_LOW]) ||
+        (slave->station[add->data[ADD_NEW]] != 0 && add->data[ADD_NEW] != report->address))
+        return REPLY_SC;
+    report->address = add->data[ADD_NEW];
+    report->address_locked = add->data[ADD_NO_CHANGE] != 0;
+    report->remote_length = (uint8_t)(add->length - ADD_REMOTE);
+    memcpy(report->remote, add->data + ADD_REMOTE, report->remote_length);
+    slave->changed = true;
     return REPLY_SC;
 }
 
@@ -232,12 +283,15 @@ static int8_t find_configuration(const dpm_slave *slave, const uint8_t *octets, 
 static dpm_reply chk_cfg(dpm_slave *slave, const dpm_received *request)
 {
     const dpm_telegram *cfg = &request->telegram;
-    if (slave->report.state == DPM_SL_WAIT_PRM || locked_for(slave, cfg->sa))
+    if (slave->report.state == DPM_SL_WAIT_PRM)
         return REPLY_RS;
+    if (locked_for(slave, cfg->sa))
+        return refuse_other(slave);
     int8_t found = find_configuration(slave, cfg->data, cfg->length);
     slave->cfg_fault = found < 0;
     if (found < 0) {
         wait_prm(slave, request->end_latest);
+        slave->report.master = slave->config.cfg_fault_keeps_master ? cfg->sa : -1;
     } else if (found != slave->report.configuration) { /* always so in WAIT_CFG */
         leave_exchange(slave, request->end_latest);
         slave->inputs_length = slave->configuration_inputs[found];
@@ -295,11 +349,19 @@ static const uint8_t *current_inputs(dpm_slave *slave)
     return slave->freeze ? slave->frozen : sample_inputs(slave);
 }
 
+static dpm_reply no_inputs_reply(const dpm_slave *slave, bool diagnosis)
+{
+    static const uint8_t octet = 0;
+    if (!diagnosis || slave->config.announce == DPM_ANNOUNCE_NEVER)
+        return REPLY_SC;
+    return (dpm_reply){.fc = DPM_RES_DH, .data = &octet, .length = slave->config.announce == DPM_ANNOUNCE_OCTET};
+}
+
 static dpm_reply inputs_reply(dpm_slave *slave)
 {
     bool diagnosis = slave->announced || slave->static_diag;
-    if (slave->inputs_length == 0) /* SC cannot carry the diagnosis flag: then SD1 with DH */
-        return diagnosis ? (dpm_reply){.fc = DPM_RES_DH} : REPLY_SC;
+    if (slave->inputs_length == 0)
+        return no_inputs_reply(slave, diagnosis);
     dpm_reply reply = reply_data(current_inputs(slave), slave->inputs_length);
     reply.fc = diagnosis ? DPM_RES_DH : DPM_RES_DL;
     return reply;
@@ -321,12 +383,14 @@ static void take_outputs(dpm_slave *slave, const dpm_telegram *exchange, bool em
 static dpm_reply data_exchange(dpm_slave *slave, const dpm_received *request)
 {
     const dpm_telegram *exchange = &request->telegram;
-    if (slave->report.state != DPM_SL_DATA_EXCH || locked_for(slave, exchange->sa))
+    if (locked_for(slave, exchange->sa))
+        return refuse_other(slave);
+    if (slave->report.state != DPM_SL_DATA_EXCH)
         return REPLY_RS;
     bool empty = slave->config.fail_safe && exchange->length == 0 && slave->outputs_length > 0;
     if (exchange->length != slave->outputs_length && !empty) {
         wait_prm(slave, request->end_latest);
-        return REPLY_RS;
+        return slave->config.wrong_length_ue ? REPLY_UE : REPLY_RS;
     }
     slave->report.exchanges++;
     slave->report.exchange_time = request->end_latest;
@@ -398,6 +462,8 @@ dpm_reply dpm_slave_serve(dpm_slave *slave, const dpm_received *request)
         return set_prm(slave, request);
     if (telegram->dsap == DPM_SAP_CHK_CFG)
         return chk_cfg(slave, request);
+    if (telegram->dsap == DPM_SAP_SET_SLAVE_ADD)
+        return set_slave_add(slave, telegram);
     if (!data_asked)
         return REPLY_RS;
     switch (telegram->dsap) {
@@ -409,7 +475,7 @@ dpm_reply dpm_slave_serve(dpm_slave *slave, const dpm_received *request)
         return read_image(slave, current_inputs(slave), slave->inputs_length);
     case DPM_SAP_RD_OUTP:
         return read_image(slave, slave->terminals.octets, slave->outputs_length);
-    default: /* Set_Slave_Add too: the address is the application's to set */
+    default:
         return REPLY_RS;
     }
 }

@@ -23,7 +23,14 @@ typedef struct dpm_slave {
 
     uint16_t min_tsdr;         /* Tbit */
     uint16_t max_tsdr;
+    int64_t request_start;     /* the last new request began not before this */
     int64_t watchdog_deadline; /* DPM_NEVER: not running */
+    int64_t baud_deadline;     /* until then the rate is known; DPM_NEVER: nothing takes it away */
+    int64_t search_start;
+    bool searching;
+
+    const uint8_t *station;    /* of the machine, by address: 0 where no slave is */
+    uint8_t mapped;            /* the address under which this slave is there */
 
     uint8_t inputs_length;     /* of the accepted configuration */
     uint8_t outputs_length;
@@ -66,7 +73,7 @@ typedef struct dpm_reply {
     const uint8_t *data; /* valid until the next call on the slave */
 } dpm_reply;
 
-/* Power on: WAIT_PRM, nothing known, outputs safe. Counters, images and configuration stay. */
+/* Power on: WAIT_PRM, nothing known, outputs safe. Counters, images, configuration and address stay. */
 void dpm_slave_power_on(dpm_slave *slave, int64_t time);
 /* Execute a new SRD or SDA request. */
 dpm_reply dpm_slave_serve(dpm_slave *slave, const dpm_received *request);

@@ -529,6 +529,17 @@ int dpm_bus_slave_reset(dpm_bus *bus, int index)
     return on_slaves(bus, do_slave_reset, (arguments){.number = index});
 }
 
+static int do_slave_set_address(void *slaves, void *data)
+{
+    const arguments *a = data;
+    return dpm_slaves_set_address(slaves, a->number, (uint8_t)a->n, a->flag, dpm_now());
+}
+
+int dpm_bus_slave_set_address(dpm_bus *bus, int index, uint8_t address, bool locked)
+{
+    return on_slaves(bus, do_slave_set_address, (arguments){.number = index, .n = address, .flag = locked});
+}
+
 static int do_slave_diagnosis(void *slaves, void *data)
 {
     const arguments *a = data;

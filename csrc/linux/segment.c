@@ -465,6 +465,11 @@ static int do_reset(dpm_segment *segment, const struct slave_call *call)
     return dpm_slaves_reset(segment->slaves, call->index, dpm_now());
 }
 
+static int do_set_address(dpm_segment *segment, const struct slave_call *call)
+{
+    return dpm_slaves_set_address(segment->slaves, call->index, call->n, call->flag, dpm_now());
+}
+
 static int do_diagnosis(dpm_segment *segment, const struct slave_call *call)
 {
     return dpm_slaves_diagnosis(segment->slaves, call->index, call->octets, call->n, call->flag, call->ext_diag,
@@ -494,6 +499,11 @@ int dpm_segment_slave_connect(dpm_segment *segment, int index, bool connected)
 int dpm_segment_slave_reset(dpm_segment *segment, int index)
 {
     return slave_call(segment, (struct slave_call){do_reset, .index = index});
+}
+
+int dpm_segment_slave_set_address(dpm_segment *segment, int index, uint8_t address, bool locked)
+{
+    return slave_call(segment, (struct slave_call){do_set_address, .index = index, .n = address, .flag = locked});
 }
 
 int dpm_segment_slave_diagnosis(dpm_segment *segment, int index, const uint8_t *octets, uint8_t n, bool announce,

@@ -59,6 +59,7 @@ DPM_API int dpm_bus_start_slaves(dpm_bus *bus, dpm_slaves *slaves);
 DPM_API int dpm_bus_slave_get(dpm_bus *bus, int index, dpm_slave_state_report *report);
 DPM_API int dpm_bus_slave_connect(dpm_bus *bus, int index, bool connected);
 DPM_API int dpm_bus_slave_reset(dpm_bus *bus, int index);
+DPM_API int dpm_bus_slave_set_address(dpm_bus *bus, int index, uint8_t address, bool locked);
 DPM_API int dpm_bus_slave_diagnosis(dpm_bus *bus, int index, const uint8_t *octets, uint8_t n, bool announce,
                                     bool ext_diag, bool static_diag);
 DPM_API int dpm_bus_slave_ready(dpm_bus *bus, int index, bool ready);

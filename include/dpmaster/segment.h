@@ -62,6 +62,7 @@ DPM_API int dpm_segment_attach(dpm_segment *segment, const dpm_slave_config *con
 DPM_API int dpm_segment_slave_get(dpm_segment *segment, int index, dpm_slave_state_report *report);
 DPM_API int dpm_segment_slave_connect(dpm_segment *segment, int index, bool connected);
 DPM_API int dpm_segment_slave_reset(dpm_segment *segment, int index);
+DPM_API int dpm_segment_slave_set_address(dpm_segment *segment, int index, uint8_t address, bool locked);
 DPM_API int dpm_segment_slave_diagnosis(dpm_segment *segment, int index, const uint8_t *octets, uint8_t n, bool announce,
                                         bool ext_diag, bool static_diag);
 DPM_API int dpm_segment_slave_ready(dpm_segment *segment, int index, bool ready);

@@ -72,7 +72,16 @@ static void make_slaves(bench *b, const dpm_parameters *parameters)
     const dpm_port_traits traits = {.allowance = ALLOWANCE, .granularity = GRANULARITY};
     dpm_slave_config config = {.ident_number = IDENT, .configurations = 2, .configuration_length = {1, 1},
                                .configuration = {{0x31}, {0x21}}, .user_parameters_max = 237, .fail_safe = true,
-                               .sync_supported = true, .freeze_supported = true, .max_diagnosis = 32, .min_tsdr = 11};
+                               .sync_supported = true, .freeze_supported = true, .max_diagnosis = 32, .min_tsdr = 11,
+                               .set_address = true, .min_slave_interval = 1, .baud_control = 1};
+    const uint8_t habits = next(b);
+    config.wrong_length_ue = habits & 1;
+    config.prm_keeps_exchange = habits & 2;
+    config.foreign_sc = habits & 4;
+    config.announce = (habits >> 3 & 3) % (DPM_ANNOUNCE_NEVER + 1);
+    config.control_feeds = habits & 32;
+    config.cfg_fault_keeps_master = config.prm_open_takes_user = habits & 64;
+    config.auto_baud = habits & 128;
     MUST(dpm_slaves_init(block(b, dpm_slaves_size(PRESENT)), dpm_slaves_size(PRESENT), parameters, &traits, PRESENT,
                          &b->slaves) == DPM_OK);
     for (uint8_t i = 0; i < PRESENT; i++) {
@@ -269,7 +278,11 @@ static void touch_slave(bench *b)
     case 0: (void)dpm_slaves_connect(b->slaves, i, what & 8); break;
     case 1: (void)dpm_slaves_reset(b->slaves, i, b->now); break;
     case 2: (void)dpm_slaves_diagnosis(b->slaves, i, octets, n, what & 8, what & 16, what & 32); break;
-    default: (void)dpm_slaves_ready(b->slaves, i, what & 8); break;
+    default:
+        (void)dpm_slaves_ready(b->slaves, i, what & 8);
+        if (what & 16)
+            (void)dpm_slaves_set_address(b->slaves, i, n, what & 32, b->now);
+        break;
     }
 }
 
