@@ -8,6 +8,7 @@ the library.
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -21,6 +22,8 @@ from dpmaster.diagnosis import Diagnosis, DiagnosisHistory, DiagnosisRecord, Rea
 from dpmaster.errors import ConfigurationError, DPTimeout, NotOperatingError, OutputsDiscarded, StationError
 
 if TYPE_CHECKING:
+    from dpmaster.gsd import GSD
+    from dpmaster.gsd.station import GSDStation
     from dpmaster.master import Master
 
 __all__ = ["Frame", "Station", "StationState", "StationStatistics"]
@@ -136,6 +139,19 @@ class Station:
         self._image_lock = threading.Lock()
         self._factors = (0, 0)
         self._history: Any = ffi.NULL
+
+    @staticmethod
+    def from_gsd(gsd: GSD | str | os.PathLike[str], address: int, modules: Iterable[Any] | None = None,
+                 parameters: Mapping[Any, Any] | None = None, **options: Any) -> GSDStation:
+        """The station that a GSD file describes, with modules and parameters as `GSD.configure` takes them.
+
+        Ident number, max_tsdr, fail_safe and min_slave_interval are the file's. options: `names`, `dpv1` and `alarms` go to
+        `configure`, the rest are those of `Station`, and win over the file's. Raises ConfigurationError that names what the
+        file does not allow, sync and freeze included.
+        """
+        from dpmaster.gsd.station import GSDStation  # a program without GSD files does not load their reader
+
+        return GSDStation(gsd, address, modules, parameters, **options)
 
     def _check(self) -> None:
         if self.min_tsdr:

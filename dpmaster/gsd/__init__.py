@@ -23,8 +23,10 @@ from dpmaster.gsd.model import (
 )
 from dpmaster.gsd.parameters import Parameters, Placed
 from dpmaster.gsd.source import Finding, Severity
+from dpmaster.gsd.texts import Texts
 
 __all__ = [
     "ALARMS", "GSD", "LANGUAGES", "RATES", "Area", "Configuration", "DataArea", "Finding", "Interface", "Module", "Parameter",
-    "Parameters", "Place", "Placed", "PrmBlock", "PrmText", "Severity", "Slot", "Span", "UnitDiagType", "Unknown", "variants",
+    "Parameters", "Place", "Placed", "PrmBlock", "PrmText", "Severity", "Slot", "Span", "Texts", "UnitDiagType", "Unknown",
+    "variants",
 ]

@@ -15,6 +15,7 @@ from typing import Any
 from dpmaster.errors import ConfigurationError
 from dpmaster.gsd.model import Device, Module, plain
 from dpmaster.gsd.parameters import Parameters
+from dpmaster.gsd.texts import Texts
 from dpmaster.identifier import IO_MAX, Data, Identifier
 
 Chosen = str | int | Module | tuple[int, str | int | Module] | list["int | str | Module"]
@@ -222,6 +223,11 @@ class Configuration:
             watcher(self.user_parameters)
 
     # ---- for a Station
+
+    @property
+    def texts(self) -> Texts:
+        """For `Diagnosis.explain`: the maker's words, and the names of the modules."""
+        return Texts(self.device, self.places)
 
     @property
     def max_tsdr(self) -> dict[int, int]:

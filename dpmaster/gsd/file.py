@@ -15,6 +15,7 @@ from dpmaster.gsd.configuration import Chosen, Configuration, configure, default
 from dpmaster.gsd.model import LANGUAGES, Device, Module
 from dpmaster.gsd.reader import Reader
 from dpmaster.gsd.source import Severity, Source, decode
+from dpmaster.gsd.texts import Texts
 
 SIZE_MAX = 64 << 20  # octets; real files are under one megabyte
 
@@ -69,6 +70,11 @@ class GSD(Device):
         Raises ConfigurationError that names what is wrong and what is allowed.
         """
         return configure(self, modules, parameters, names, dpv1=dpv1, fail_safe=fail_safe, alarms=alarms)
+
+    @property
+    def texts(self) -> Texts:
+        """For `Diagnosis.explain`: the maker's words; those of a `Configuration` know the modules too."""
+        return Texts(self)
 
     def default_modules(self) -> list[Module]:
         """What the file settles by itself: preset modules, or its only one; [] when its slots have defaults. Else, and that is

@@ -38,7 +38,7 @@ ERROR, WARNING, NOTE = Severity.ERROR, Severity.WARNING, Severity.NOTE
 # What makers write in place of a keyword. Others are found without their underscores and blanks.
 MISSPELLED = {
     "min_slave_interval": "min_slave_intervall", "module_offset": "modul_offset", "max_modules": "max_module",
-    "unit_diag_!bit": "unit_diag_not_bit", "x_unit_diag_!bit": "unit_diag_not_bit", "manufacturer_name": "vendor_name",
+    "unit_diag_!bit": "unit_diag_not_bit", "x_unit_diag_!bit": "x_unit_diag_not_bit", "manufacturer_name": "vendor_name",
     "auto_baud_rate_supp": "auto_baud_supp", "max_input_length": "max_input_len", "max_output_length": "max_output_len",
     "max_data_length": "max_data_len", "max_diag_data_length": "max_diag_data_len", "dp_v1_slave": "dpv1_slave",
     "order_number": "ordernumber", "user_prm_data_length": "user_prm_data_len",
@@ -101,11 +101,21 @@ def plain(name: str) -> str:
     return name.lower().replace("_", "").replace(" ", "")
 
 
-_TABLES: dict[type, dict[str, tuple[str, Form, int]]] = {}
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A keyword: as the specification writes it, the field it fills, and of which rate, when there is one for each."""
+
+    keyword: str
+    field: str
+    form: Form
+    rate: int | None = None
 
 
-def table(block: type) -> dict[str, tuple[str, Form, int]]:
-    """What a block may hold: field, form and, for the families with one keyword for each rate, the rate, by `plain` keyword."""
+_TABLES: dict[type, dict[str, Entry]] = {}
+
+
+def table(block: type) -> dict[str, Entry]:
+    """What a block may hold, by `plain` keyword."""
     if block in _TABLES:
         return _TABLES[block]
     found = _TABLES[block] = {}
@@ -115,11 +125,12 @@ def table(block: type) -> dict[str, tuple[str, Form, int]]:
         name, form = entry.metadata["keyword"], entry.metadata["form"]
         if form in (Form.RATE, Form.BY_RATE):
             for text, rate in RATES.items():
-                found[plain(text + name if form is Form.RATE else name + text)] = entry.name, form, rate
+                whole_name = text + name if form is Form.RATE else name + text
+                found[plain(whole_name)] = Entry(whole_name, entry.name, form, rate)
         else:
-            found[plain(name)] = entry.name, form, 0
+            found[plain(name)] = Entry(name, entry.name, form)
     if block in (UnitDiagType, Area):  # X_Unit_Diag_Bit, X_Value
-        found.update({"x" + key: entry for key, entry in found.items()})
+        found.update({"x" + key: dataclasses.replace(entry, keyword="X_" + entry.keyword) for key, entry in found.items()})
     return found
 
 
@@ -208,7 +219,7 @@ class Reader:
         elif key in LINES.get(type(what), {}):
             LINES[type(what)][key](self, what, statement)
         else:
-            self.store(what, *table(type(what))[key], statement)
+            self.store(what, table(type(what))[key], statement)
 
     def unwind(self, depth: int, statement: Statement) -> None:
         """A statement belongs to an outer block: those inside it have ended without saying so."""
@@ -273,9 +284,11 @@ class Reader:
         else:
             getattr(what, name)[index] = value
 
-    def store(self, what: object, name: str, form: Form, rate: int, statement: Statement) -> None:
-        index = rate or None
+    def store(self, what: object, entry: Entry, statement: Statement) -> None:
+        form, index = entry.form, entry.rate
         value: object
+        if statement.keyword.lower() != entry.keyword.lower():
+            self.note(WARNING, statement, f"{statement.keyword} is read as {entry.keyword}")
         if form in (Form.FLAG, Form.RATE):
             value = self.truth(statement)
         elif form in (Form.WHOLE, Form.BY_RATE):
@@ -289,9 +302,9 @@ class Reader:
         elif form is Form.TEXTS:
             index, value = self.index(statement), self.text(statement)
         else:
-            self.append(getattr(what, name), form, statement)
+            self.append(getattr(what, entry.field), form, statement)
             return
-        self.fill(what, name, index, value, statement)
+        self.fill(what, entry.field, index, value, statement)
 
     def append(self, entries: list[Any], form: Form, statement: Statement) -> None:
         if form is Form.CONSTANTS:

@@ -179,7 +179,7 @@ class Source:
             words += 1
         if words > 1 and (words == len(line) or line[words][1] not in "=("):
             words = 1  # not a keyword of several words, but a word with values
-        keyword = "_".join(token[1] for token in line[:words])
+        keyword = " ".join(token[1] for token in line[:words])
         at, index, last = self._index(line, words) if words else (0, None, None)
         equals = words > 0 and at < len(line) and line[at][:2] == ("mark", "=")
         values = line[at + equals :]
