@@ -32,7 +32,7 @@ help: check
 	@echo "make demo      start a drive on a virtual bus and watch it run"
 	@echo "make test      run the tests"
 	@echo "make lint      ruff, mypy --strict, gcc and clang with all warnings as errors"
-	@echo "make soak      the long proofs: 10 000 random rings on virtual time"
+	@echo "make soak      the long proofs: random rings, and cycles with random faults, by the million"
 	@echo "make bench     measure the speed"
 	@echo "make fuzz      run each fuzz target for $(FUZZ_SECONDS) s"
 	@echo "make sanitize  run the tests with AddressSanitizer and UndefinedBehaviorSanitizer in the C library"
@@ -92,11 +92,12 @@ demo: $(VENV)/.built
 test: $(VENV)/.built $(VENV)/.test
 	$(PY) -m pytest $(ARGS)
 
-# Longer proofs than a change has to wait for: 10 000 random rings, 10 000 cycles of a single master at each rate, and a
-# minute of two masters side by side on ptys.
+# Longer proofs than a change has to wait for: 10 000 random rings, 10 000 cycles of a single master at each rate, a minute of
+# two masters side by side on ptys, and cycles with random faults, 10 million on virtual time and a million on a pty.
 soak: $(VENV)/.built $(VENV)/.test
 	DPM_SOAK_RUNS=10000 DPM_SOAK_CYCLES=10000 $(PY) -m pytest --capture=no tests/test_ring_soak.py $(ARGS)
 	DPM_RING_SECONDS=60 $(PY) -m pytest --timeout=600 tests/test_ring_pty.py
+	DPM_DP_CYCLES=10000000 DPM_PTY_CYCLES=1000000 $(PY) -m pytest --capture=no tests/test_dp_soak.py $(ARGS)
 
 bench: $(VENV)/.built $(VENV)/.bench
 	$(PY) tests/bench/bench.py $(ARGS)

@@ -104,6 +104,7 @@ class MasterStatistics:
     answers: int
     repetitions: int
     unanswered: int
+    abandoned: int
     sdn: int
     tokens: int
     late_dropped: int
@@ -536,8 +537,9 @@ class Master:
         rejected = {ffi.string(lib.dpm_reject_name(i)).decode(): fdl.rejected[i] for i in range(1, lib.DPM_REJECT_COUNT)}
         return MasterStatistics(
             status.cycle, status.cycle_last / NS, status.cycle_max / NS, FdlState(status.fdl_state),
-            None if status.foreign < 0 else status.foreign, fdl.requests, fdl.answers, fdl.repetitions, fdl.unanswered, fdl.sdn,
-            fdl.tokens, fdl.late_dropped, fdl.stray, fdl.foreign, fdl.send_failed, fdl.tokens_lost, fdl.token_repetitions,
+            None if status.foreign < 0 else status.foreign, fdl.requests, fdl.answers, fdl.repetitions, fdl.unanswered,
+            fdl.abandoned, fdl.sdn, fdl.tokens, fdl.late_dropped, fdl.stray, fdl.foreign, fdl.send_failed, fdl.tokens_lost,
+            fdl.token_repetitions,
             fdl.gap_polls, rejected, self._bus.statistics())
 
     # ---- the end

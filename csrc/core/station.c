@@ -114,6 +114,8 @@ static void finish_unanswered(dpm_station *st, int64_t now, uint8_t status)
         st->statistics.unanswered++;
         st->given_up = st->da;
         dpm_token_live(st, st->da, DPM_LIVE_NONE, now);
+    } else {
+        st->statistics.abandoned += st->tries > 0;
     }
     finish(st, now, &confirm);
 }

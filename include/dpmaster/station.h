@@ -108,7 +108,8 @@ typedef struct dpm_fdl_statistics {
     uint64_t requests;         /* SRD, SDA and status requests, without repetitions */
     uint64_t answers;
     uint64_t repetitions;
-    uint64_t unanswered;       /* requests given up */
+    uint64_t unanswered;       /* requests given up after all tries */
+    uint64_t abandoned;        /* requests under way when the token or the bus was lost, or they were withdrawn */
     uint64_t sdn;
     uint64_t tokens;           /* tokens sent */
     uint64_t late_dropped;     /* telegrams dropped past their latest time */
