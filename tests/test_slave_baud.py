@@ -227,19 +227,20 @@ def test_a_slave_with_a_fixed_rate_is_never_deaf() -> None:
 
 
 @pytest.mark.parametrize("rate", [500_000, 19_200])
-def test_our_master_finds_a_cold_slave(rate: int) -> None:
-    """Two slaves of one master, of which one searches: it comes as soon as its turn is the bus's, the other is not held up."""
+@pytest.mark.parametrize("others", [0, 1])
+def test_our_master_finds_a_cold_slave(rate: int, others: int) -> None:
+    """Alone, and beside one that is not held up by it."""
     parameters = default_parameters(rate)
     master, slaves = Master(parameters=parameters), Slaves(parameters=parameters)
-    for address, cold_ in ((7, False), (8, True)):
-        master.add(address, 0x00CA, b"\x72", watchdog=(100, 1))
-        slaves.add(address, 0x00CA, b"\x72", auto_baud=cold_, baud_control=30)
+    for i in range(others + 1):
+        master.add(8 + i, 0x00CA, b"\x72", watchdog=(100, 1))
+        slaves.add(8 + i, 0x00CA, b"\x72", auto_baud=i == others, baud_control=30)
     wire = Wire(parameters, master.machine, slaves.machine)
     master.mode(lib.DPM_MODE_OPERATE)
     wire.run(wire.now + 4_000 * MS)
-    assert [slaves.report(i).state for i in (0, 1)] == [DATA_EXCH, DATA_EXCH]
-    assert slaves.report(1).baud_state == DP
-    assert slaves.report(0).watchdog_expired == 0
+    assert [slaves.report(i).state for i in range(others + 1)] == [DATA_EXCH] * (others + 1)
+    assert [slaves.report(i).watchdog_expired for i in range(others + 1)] == [0] * (others + 1)
+    assert slaves.report(others).baud_state == DP
 
 
 # ---- the distance between requests, page I.5 ----

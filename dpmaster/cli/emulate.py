@@ -1,24 +1,35 @@
 # SPDX-License-Identifier: MIT
-"""``dpmaster emulate``: an option card with a drive behind it, on a pty of its own or on somebody else's wire."""
+"""``dpmaster emulate``: a slave on a pty of its own or on somebody else's wire: an option card with a drive behind it, or one
+that is described by ident number and configuration and has a console."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
+from dpmaster.cli import _console as console
 from dpmaster.cli import _links as links
-from dpmaster.emulator import Card, Line, Segment
-from dpmaster.emulator.cards import SIP1
+from dpmaster.emulator import Card, Habits, Host, Line, Segment
+from dpmaster.emulator.cards import SIP1, GenericSlave
+from dpmaster.errors import ConfigurationError
 
 NAME = "emulate"
-HELP = "an emulated option card with its drive and motor, until SIGINT or SIGTERM"
+HELP = "an emulated slave - an option card with its drive and motor, or one described by data - until SIGINT or SIGTERM"
 
 RATE = 500_000  # bit/s of --on without --baudrate
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("card", choices=["si-p1"], help="si-p1: Yaskawa V7 with SI-P1")
+    cards = parser.add_subparsers(metavar="CARD", dest="card", required=True)
+    _add(cards, "si-p1", "Yaskawa V7 with SI-P1", _sip1_arguments)
+    _add(cards, "generic", "any slave, described by ident number and configuration, with a console", _generic_arguments)
+
+
+def _add(cards: argparse._SubParsersAction[argparse.ArgumentParser], name: str, what: str,
+         arguments: Callable[[argparse.ArgumentParser], None]) -> None:
+    parser = cards.add_parser(name, help=what, description=what, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--address", type=int, required=True, metavar="N", help="station address")
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--link", type=Path, metavar="PATH",
@@ -26,12 +37,95 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     where.add_argument("--on", metavar="PATH", help="join the wire at this serial port or segment's port")
     parser.add_argument("--baudrate", type=int, metavar="B",
                         help=f"bit/s: paces the card's own pty, which without it is unpaced; with --on {RATE} by default")
+    arguments(parser)
+
+
+def _sip1_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--parameters", choices=["commissioned", "factory"], default="commissioned",
                         help="the drive's parameters: ready for the bus (default), or as it leaves the factory")
+    parser.set_defaults(make=lambda args: SIP1(args.address, parameters=args.parameters))
+
+
+def _generic_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.epilog = f"Lines on stdin, while it runs:\n{console.HELP}"
+    parser.add_argument("--ident", required=True, metavar="HEX", help="ident number")
+    parser.add_argument("--config", required=True, action="append", metavar="HEX",
+                        help="identifier octets; once more for each further configuration that it accepts")
+    parser.add_argument("--user-parameters", default="0-237", metavar="MIN-MAX", help="octets of User_Prm_Data it takes")
+    parser.add_argument("--max-diagnosis", type=int, default=244, metavar="N", help="longest diagnosis, 6 to 244")
+    parser.add_argument("--min-slave-interval", type=int, default=0, metavar="N",
+                        help="in 100 us; what comes sooner is counted")
+    for option, what in (("--fail-safe", "takes an empty Data_Exchange as Clear"),
+                         ("--set-address", "takes Set_Slave_Add; with --address 126 it waits for it"),
+                         ("--auto-baud", "searches the wire's rate"), ("--echo", "its inputs are its outputs")):
+        parser.add_argument(option, action="store_true", help=what)
+    parser.add_argument("--no-sync", action="store_true", help="has no Sync")
+    parser.add_argument("--no-freeze", action="store_true", help="has no Freeze")
+    _common_arguments(parser)
+    parser.set_defaults(make=_generic)
+
+
+def _common_arguments(parser: argparse.ArgumentParser) -> None:
+    """Of all slaves that are described by data."""
+    parser.add_argument("--identity", metavar="VENDOR,CONTROLLER,HARDWARE,SOFTWARE", help="what Ident is answered; default RS")
+    parser.add_argument("--input", action="append", default=[], metavar="OFFSET=HEX", help="inputs to begin with")
+    habits = "; ".join(f"{name} {'|'.join(words)}" for name, words in Habits.WORDS.items())
+    parser.add_argument("--habit", action="append", default=[], metavar="NAME=WORD",
+                        help=f"what it does where the standard's readers disagree, the default first: {habits}")
+
+
+def _generic(args: argparse.Namespace) -> Card:
+    real, *others = (console.octets_of("--config", text) for text in args.config)
+    slave = GenericSlave(
+        args.address, _ident(args.ident), real, others=others, user_parameters=_limits(args.user_parameters),
+        fail_safe=args.fail_safe, sync=not args.no_sync, freeze=not args.no_freeze, max_diagnosis=args.max_diagnosis,
+        min_slave_interval=args.min_slave_interval, set_address=args.set_address, auto_baud=args.auto_baud,
+        identity=_identity(args.identity), habits=_habits(args.habit), echo=args.echo)
+    _begin(slave, args)
+    return slave
+
+
+def _begin(slave: GenericSlave, args: argparse.Namespace) -> None:
+    for given in args.input:
+        where, equals, octets = given.partition("=")
+        if not equals:
+            raise ConfigurationError(f"--input {given}: OFFSET=HEX")
+        console.set_inputs(slave, where, octets)
+
+
+def _ident(text: str) -> int:
+    try:
+        return int(text, 16)
+    except ValueError:
+        raise ConfigurationError(f"--ident {text!r}: a hexadecimal number, 0000 to FFFF") from None
+
+
+def _limits(text: str) -> tuple[int, int]:
+    low, dash, high = text.partition("-")
+    if not dash or not low.isdecimal() or not high.isdecimal() or not int(low) <= int(high) <= 237:
+        raise ConfigurationError(f"--user-parameters {text!r}: MIN-MAX, 0 to 237 octets")
+    return int(low), int(high)
+
+
+def _identity(text: str | None) -> tuple[str, str, str, str] | None:
+    match text.split(",") if text is not None else None:
+        case None:
+            return None
+        case [vendor, controller, hardware, software]:
+            return vendor, controller, hardware, software
+    raise ConfigurationError(f"--identity {text!r}: four texts with commas between them")
+
+
+def _habits(given: list[str]) -> Habits:
+    found = dict(habit.partition("=")[::2] for habit in given)
+    for name in found:
+        if name not in Habits.WORDS:
+            raise ConfigurationError(f"--habit {name}: there are {', '.join(Habits.WORDS)}")
+    return Habits(**found)  # type: ignore[arg-type]  # it checks the words
 
 
 def run(args: argparse.Namespace) -> int:
-    card = SIP1(args.address, parameters=args.parameters)
+    card = args.make(args)
     try:
         if args.on is not None:
             _join(card, args)
@@ -42,10 +136,17 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+def _stay(host: Host, card: Card) -> None:
+    if isinstance(card, GenericSlave):
+        console.Console(host, card).stay()
+    else:
+        links.stay(host)
+
+
 def _join(card: Card, args: argparse.Namespace) -> None:
     with Line(args.on, card, baudrate=args.baudrate or RATE) as line:
         print(args.on, flush=True)
-        links.stay(line)
+        _stay(line, card)
 
 
 def _host(card: Card, args: argparse.Namespace) -> None:
@@ -56,4 +157,4 @@ def _host(card: Card, args: argparse.Namespace) -> None:
         if args.link is not None:
             stack.enter_context(links.link(args.link, path))
         print(path, flush=True)
-        links.stay(wire)
+        _stay(wire, card)

@@ -2,8 +2,9 @@
 """Where emulated cards live: their slaves in a machine of the C library, their applications on one thread.
 
 `Segment` and `Line` are hosts; they differ in whose wire the slaves are on. The thread sleeps in C until a slave's state or
-outputs changed or a card's `next_step` has come. It is the only one that steps cards, reads their outputs and writes
-their inputs. With `segment.py` and `line.py` this is the emulator's only contact with the binding.
+outputs changed or a card's `next_step` has come. It steps the cards, reads their outputs and writes their inputs; a card
+that asks for a step at once (`Slave.refresh`) gets it in the thread that asks, under the same lock. With `segment.py` and
+`line.py` this is the emulator's only contact with the binding.
 """
 
 from __future__ import annotations
@@ -17,8 +18,9 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
+from dpmaster import _arguments
 from dpmaster._core import NS, Process, block, check, error, ffi, lib
-from dpmaster.emulator.card import Card, Exchange, SlaveState
+from dpmaster.emulator.card import BaudState, Card, Exchange, Habits, SlaveState
 from dpmaster.errors import ClosedError, ConfigurationError, DPError
 
 __all__ = ["Host", "SlaveReport", "bus_parameters"]
@@ -26,6 +28,12 @@ __all__ = ["Host", "SlaveReport", "bus_parameters"]
 log = logging.getLogger("dpmaster.emulator")
 
 CardT = TypeVar("CardT", bound=Card)
+
+# Habits as fields of dpm_slave_config: a word's place among the field's words is its number.
+HABITS = {
+    "wrong_length": "wrong_length_ue", "set_prm": "prm_keeps_exchange", "other_master": "foreign_sc", "announce": "announce",
+    "global_control": "control_feeds", "cfg_fault": "cfg_fault_keeps_master", "open_set_prm": "prm_open_takes_user",
+}
 
 IDLE = 0.1  # s, longest sleep of the application thread: a card attached meanwhile waits no longer for its first timer
 JOIN = 2.0  # s that close() waits for a card's step to return
@@ -50,6 +58,10 @@ class SlaveReport:
     repetitions: int
     late_dropped: int
     exchanges: int
+    too_soon: int
+    """Requests that broke `Card.min_slave_interval`."""
+    address_locked: bool
+    baud_state: BaudState
 
 
 @dataclass(slots=True, eq=False)
@@ -65,12 +77,17 @@ class Slot:
     octets: bytes | None = None
     next: float = 0.0
     failed: bool = False
+    stepping: bool = False
     report: Any = field(default_factory=lambda: ffi.new("dpm_slave_state_report *"))
     frame: Any = field(default_factory=lambda: ffi.new("dpm_frame *"))
 
     def step(self, now: float) -> None:
         """Let the card live until `now` and hand its octets over if they are new."""
-        octets = bytes(self.card.step(now, self.exchange))
+        self.stepping = True
+        try:
+            octets = bytes(self.card.step(now, self.exchange))
+        finally:
+            self.stepping = False
         if len(octets) > lib.DPM_IO_MAX:
             raise ConfigurationError(f"{describe(self.card)} gave {len(octets)} input octets: at most {lib.DPM_IO_MAX} fit")
         self.next = self.card.next_step(now)
@@ -87,8 +104,36 @@ class Slot:
         return Exchange(
             state=SlaveState(report.state), outputs=bytes(ffi.buffer(frame.octets, frame.length)), valid=bool(frame.valid),
             number=frame.number, configuration=report.configuration, master=None if report.master < 0 else report.master,
-            watchdog_expired=report.watchdog_expired,
+            watchdog_expired=report.watchdog_expired, address=report.address,
         )
+
+    def store(self) -> None:
+        """What Set_Slave_Add has changed goes into the card's EEPROM."""
+        card, report = self.card, self.report
+        if (card.address, card.address_locked) != (report.address, report.address_locked):
+            log.info("%s has address %d now%s", describe(card), report.address, ", locked" if report.address_locked else "")
+        card.address, card.address_locked = report.address, bool(report.address_locked)
+        if report.remote_length:
+            card.remote_data = bytes(report.remote[0 : report.remote_length])
+
+
+@dataclass(frozen=True, slots=True)
+class Handle:
+    """The `Slave` that a card is given."""
+
+    host: Host
+    slot: Slot
+
+    def refresh(self) -> None:
+        self.host._refresh(self.slot)
+
+    def diagnose(self, octets: bytes, *, announce: bool, ext_diag: bool, static_diag: bool) -> None:
+        if not self.host._closed:
+            self.host.set_diagnosis(self.slot.card, octets, announce=announce, ext_diag=ext_diag, static_diag=static_diag)
+
+    def set_ready(self, ready: bool) -> None:
+        if not self.host._closed:
+            self.host.set_ready(self.slot.card, ready)
 
 
 def describe(card: Card) -> str:
@@ -104,6 +149,17 @@ def bus_parameters(baudrate: int) -> Any:
             rates.append(str(rate))
         raise ConfigurationError(f"baudrate {baudrate!r}: PROFIBUS has {', '.join(rates)} bit/s")
     return parameters
+
+
+def identity(card: Card) -> bytes:
+    """The answer to Ident: four lengths, then the texts."""
+    if card.identity is None:
+        return b""
+    texts = [text.encode("latin-1", "replace") for text in card.identity]
+    if len(texts) != 4 or sum(map(len, texts)) > lib.DPM_SLAVE_IDENTITY - 4:
+        raise ConfigurationError(f"{describe(card)}: identity {card.identity!r}: four texts, at most "
+                                 f"{lib.DPM_SLAVE_IDENTITY - 4} characters together")
+    return bytes(map(len, texts)) + b"".join(texts)
 
 
 def slave_config(card: Card) -> Any:
@@ -127,6 +183,16 @@ def slave_config(card: Card) -> Any:
     config.user_parameters_min, config.user_parameters_max = card.user_parameters
     config.fail_safe, config.sync_supported, config.freeze_supported = card.fail_safe, card.sync, card.freeze
     config.max_diagnosis, config.min_tsdr = card.max_diagnosis, 11
+    interval = _arguments.whole(f"{what}: min_slave_interval", card.min_slave_interval, 0, 65535, " (of 100 us)")
+    config.min_slave_interval = interval
+    config.set_address, config.address_locked = card.set_address, card.address_locked
+    if not _arguments.number(card.baud_control) or not 0 <= round(card.baud_control * 100) <= 255:
+        raise ConfigurationError(f"{what}: baud_control {card.baud_control!r} s: 0 to 2.55")
+    config.auto_baud, config.baud_control = card.auto_baud, round(card.baud_control * 100)
+    who = identity(card)
+    config.identity_length, config.identity = len(who), who
+    for name, field_name in HABITS.items():
+        setattr(config, field_name, Habits.WORDS[name].index(getattr(card.habits, name)))
     return config
 
 
@@ -177,7 +243,15 @@ class Host(ABC):
             slot.step(time.monotonic())  # octets are there before the first request is
             slot.index = check(self._add(config, slot.outputs, slot.inputs), f"attach {describe(card)}")
             self._slots.append(slot)
+            if self._thread is not None:
+                card.attached(Handle(self, slot))
         return card
+
+    def _refresh(self, slot: Slot) -> None:
+        with self._lock:
+            if not self._closed and not slot.stepping:  # stepping: a card's own step has changed it
+                slot.next = 0.0
+                self._live(slot, False)
 
     def _slot(self, card: Card) -> Slot:
         self._guard()
@@ -205,9 +279,20 @@ class Host(ABC):
             card.reset(time.monotonic())
             slot.next = 0.0
 
+    def set_address(self, card: Card, address: int, *, locked: bool = False) -> None:
+        """Give the card another address (0 to 126), as its switches do or a reset to 126; it starts as after power on."""
+        slot = self._slot(card)
+        number = _arguments.whole(f"{describe(card)}: address", address, 0, 126)
+        with self._lock:
+            check(self._call("slave_set_address", slot.index, number, bool(locked)), f"{describe(card)}: address {address}")
+            card.address, card.address_locked = number, bool(locked)
+            card.reset(time.monotonic())
+            slot.next = 0.0
+
     def set_diagnosis(self, card: Card, octets: bytes, *, announce: bool = True, ext_diag: bool = False,
                       static_diag: bool = False) -> None:
         """Diagnosis behind the six standard octets; `announce` makes the master fetch it."""
+        octets = octets[:255]  # more than any slave has room for; what does not fit is overflow, whatever its length
         check(self._call("slave_diagnosis", self._slot(card).index, octets, len(octets), announce, ext_diag, static_diag),
               f"diagnosis of {describe(card)}", octets=len(octets))
 
@@ -225,7 +310,8 @@ class Host(ABC):
             watchdog=report.watchdog / NS if report.watchdog_on else None, watchdog_expired=report.watchdog_expired,
             user_parameters=bytes(report.user_parameters[0 : report.user_parameters_length]), group=report.group,
             requests=report.requests, answers=report.answers, repetitions=report.repetitions,
-            late_dropped=report.late_dropped, exchanges=report.exchanges,
+            late_dropped=report.late_dropped, exchanges=report.exchanges, too_soon=report.too_soon,
+            address_locked=bool(report.address_locked), baud_state=BaudState(report.baud_state),
         )
 
     @property
@@ -249,6 +335,8 @@ class Host(ABC):
         """Start the applications; the library's object is there."""
         # Not a thread that the interpreter waits for: those are joined before atexit, where this one is told to end.
         self._thread = threading.Thread(target=self._run, name="dpmaster-cards", daemon=True)
+        for slot in self._slots:
+            slot.card.attached(Handle(self, slot))
         self._thread.start()
         atexit.register(self.close)
 
@@ -274,6 +362,7 @@ class Host(ABC):
                 exchange = slot.exchange
                 if changed and not slot.failed and self._call("slave_get", slot.index, slot.report) == 0:
                     exchange = slot.look()
+                    slot.store()
                 now = time.monotonic()
                 if not slot.failed and (exchange != slot.exchange or now >= slot.next):
                     slot.exchange = exchange
@@ -301,6 +390,8 @@ class Host(ABC):
             self._thread.join(JOIN)
             if self._thread.is_alive():
                 log.error("a card's step does not return; its thread is left behind")
+        for slot in self._slots:
+            slot.card.detached()
         self._raise_failure()
 
     def __enter__(self) -> Self:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """The firmware of the emulated cards, one file per card."""
 
+from dpmaster.emulator.cards.generic import GenericSlave
 from dpmaster.emulator.cards.sip1 import SIP1
 
-__all__ = ["SIP1"]
+__all__ = ["SIP1", "GenericSlave"]

@@ -1,0 +1,250 @@
+# SPDX-License-Identifier: MIT
+"""A slave described by data alone: ident number and modules; a program sees its outputs and sets its inputs.
+
+Any thread may call anything. What a program changes is on the wire with the next answer, what a master writes is here as
+soon as the host's thread runs.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Self
+
+from dpmaster import _arguments
+from dpmaster.emulator.card import Card, Exchange, Habits, Slave, SlaveState
+from dpmaster.errors import ClosedError, DPTimeout
+from dpmaster.identifier import decode
+
+__all__ = ["GenericSlave", "Module"]
+
+IDLE = 10.0
+"""Seconds between two steps while nothing happens: it has no life of its own."""
+
+
+class Module:
+    """A place of the configuration in force, with its part of the images. An empty one has neither."""
+
+    def __init__(self, slave: GenericSlave, slot: int, identifiers: bytes, inputs: slice, outputs: slice) -> None:
+        self._slave, self._inputs, self._outputs = slave, inputs, outputs
+        self.slot = slot
+        """Number of its first identifier, from 1."""
+        self.identifiers = identifiers
+        """Its identifier octets."""
+
+    @property
+    def outputs(self) -> bytes:
+        """What the master wrote, as `GenericSlave.outputs`."""
+        return self._slave.outputs[self._outputs]
+
+    @property
+    def inputs(self) -> bytes:
+        """What the master reads. To be set in its whole length."""
+        return self._slave.inputs[self._inputs]
+
+    @inputs.setter
+    def inputs(self, octets: bytes | bytearray | Iterable[int]) -> None:
+        size = self._inputs.stop - self._inputs.start
+        found = _arguments.octets(f"inputs of slot {self.slot}", octets, size, size)
+        if found:
+            self._slave.update(self._inputs.start, found)
+
+    def __repr__(self) -> str:
+        return f"<Module {self.identifiers.hex(' ')} at slot {self.slot}>"
+
+
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    """A configuration, taken apart."""
+
+    modules: tuple[Module, ...]
+    inputs: int
+    outputs: int
+
+
+class GenericSlave(Card):
+    """A slave at `address` (0 to 126; 126 waits for Set_Slave_Add) with `modules`, the identifier octets of each.
+
+    modules: an empty place is ``b"\\0"``; a module of several identifiers is one entry. Given as one ``bytes``, each identifier
+    is a module. `others` are further configurations that Chk_Cfg accepts, each one ``bytes``. user_parameters: fewest and
+    most octets of User_Prm_Data. `substitute` are the outputs that are shown while those of the master do not count, zeros
+    by default. `echo`: the inputs are the outputs, as far as they reach. `on_change` is called in the host's thread after
+    outputs or state have changed. The rest is as `Card` describes it.
+
+    Raises ConfigurationError for modules that no decoder accepts.
+    """
+
+    def __init__(
+        self, address: int, ident_number: int, modules: bytes | Iterable[bytes], *, others: Iterable[bytes] = (),
+        user_parameters: tuple[int, int] = (0, 237), fail_safe: bool = False, sync: bool = True, freeze: bool = True,
+        max_diagnosis: int = 244, min_slave_interval: int = 0, set_address: bool = False, address_locked: bool = False,
+        auto_baud: bool = False, baud_control: float = 0.0, identity: tuple[str, str, str, str] | None = None,
+        habits: Habits | None = None, substitute: bytes = b"", echo: bool = False,
+        on_change: Callable[[GenericSlave], None] | None = None,
+    ) -> None:
+        self.address = _arguments.whole("address", address, 0, 126)
+        self.ident_number = _arguments.whole("ident_number", ident_number, 0, 0xFFFF)
+        self._layouts = tuple(self._layout(_modules(configuration)) for configuration in (modules, *others))
+        self.configurations = tuple(b"".join(module.identifiers for module in layout.modules) for layout in self._layouts)
+        self.user_parameters, self.max_diagnosis = user_parameters, _arguments.whole("max_diagnosis", max_diagnosis, 6, 244)
+        self.fail_safe, self.sync, self.freeze = fail_safe, sync, freeze
+        self.min_slave_interval, self.identity, self.habits = min_slave_interval, identity, habits or Habits()
+        self.set_address, self.address_locked = set_address, address_locked
+        self.auto_baud, self.baud_control = auto_baud, baud_control
+        self.substitute, self.echo, self.on_change = bytes(substitute), echo, on_change
+        self._inputs = bytearray(max(layout.inputs for layout in self._layouts))
+        self._changed = threading.Condition(threading.RLock())
+        self._exchange = Exchange()
+        self._diagnosis: tuple[bytes, bool, bool, bool] | None = None
+        self._ready = True
+        self._gone = False
+
+    def _layout(self, modules: Iterable[bytes]) -> _Layout:
+        found: list[Module] = []
+        slot, inputs, outputs = 1, 0, 0
+        for module in modules:
+            parts = decode(module)
+            ends = (inputs + sum(part.inputs.octets for part in parts if part.inputs),
+                    outputs + sum(part.outputs.octets for part in parts if part.outputs))
+            found.append(Module(self, slot, module, slice(inputs, ends[0]), slice(outputs, ends[1])))
+            slot, inputs, outputs = slot + len(parts), *ends
+        decode(b"".join(module.identifiers for module in found))  # the sums have limits of their own
+        return _Layout(tuple(found), inputs, outputs)
+
+    # -- What a program sees and does ------------------------------------------------------------------------------
+
+    @property
+    def exchange(self) -> Exchange:
+        """State, master, configuration, outputs, all of one moment."""
+        return self._exchange
+
+    @property
+    def state(self) -> SlaveState:
+        return self._exchange.state
+
+    @property
+    def modules(self) -> tuple[Module, ...]:
+        """Those of the configuration that the master has chosen, or else of the slave's own."""
+        return self._layouts[max(self._exchange.configuration, 0)].modules
+
+    @property
+    def outputs(self) -> bytes:
+        """What the master wrote; `substitute` in Clear, behind a loss and before the first Data_Exchange."""
+        exchange = self._exchange
+        size = self._layouts[max(exchange.configuration, 0)].outputs
+        return exchange.outputs if exchange.valid else self.substitute[:size].ljust(size, b"\0")
+
+    @property
+    def inputs(self) -> bytes:
+        """What the master reads. To be set in its whole length; `update` sets a part."""
+        with self._changed:
+            return bytes(self._inputs[: self._layouts[max(self._exchange.configuration, 0)].inputs])
+
+    @inputs.setter
+    def inputs(self, octets: bytes | bytearray | Iterable[int]) -> None:
+        size = self._layouts[max(self._exchange.configuration, 0)].inputs
+        found = _arguments.octets(f"inputs of {self}", octets, size, size)
+        if found:
+            self.update(0, found)
+
+    def update(self, offset: int, octets: bytes | bytearray | Iterable[int]) -> None:
+        """Change some inputs, in one step."""
+        with self._changed:
+            size = len(self._inputs)
+            start = _arguments.whole(f"offset in the inputs of {self}", offset, 0, max(size - 1, 0), f"; it has {size} octets")
+            found = _arguments.octets(f"inputs of {self} from octet {start}", octets, 1, size - start, f" of its {size}")
+            self._inputs[start : start + len(found)] = found
+        if self.slave is not None:
+            self.slave.refresh()
+
+    def diagnosis(self, *blocks: bytes, fault: bool | None = None, static: bool = False, announce: bool = True) -> None:
+        """Diagnosis behind the six standard octets, made with `emulator.blocks` or by hand; without blocks there is none.
+
+        fault: Ext_Diag, "the blocks tell of a fault"; by default if there are any. static: Stat_Diag, the master reads
+        diagnosis instead of data until it is gone. announce: raise the diagnosis flag (DH) until the master has read it.
+        What exceeds `max_diagnosis` is cut off and reported as overflow.
+        """
+        octets = b"".join(bytes(block) for block in blocks)
+        self._diagnosis = octets, announce, bool(octets) if fault is None else fault, static
+        self._tell()
+
+    @property
+    def ready(self) -> bool:
+        """While False the slave says Station_Not_Ready, and no master exchanges data with it."""
+        return self._ready
+
+    @ready.setter
+    def ready(self, ready: bool) -> None:
+        self._ready = bool(ready)
+        if self.slave is not None:
+            self.slave.set_ready(self._ready)
+
+    def wait(self, predicate: Callable[[Self], bool], timeout: float | None = 1.0) -> None:
+        """Wait until `predicate(slave)` is true; it is asked now and after every change of outputs or state.
+
+        Raises DPTimeout after `timeout` s (None: never), ClosedError when the wire is closed. Not to be called by `on_change`.
+        """
+        _arguments.timeout(timeout)
+        deadline = math.inf if timeout is None else time.monotonic() + timeout
+        seen = None
+        while seen is not self._exchange:
+            seen = self._exchange
+            if predicate(self):  # not under the lock: it may set inputs, which takes the host's
+                return
+            with self._changed:
+                while seen is self._exchange and not self._gone and (left := deadline - time.monotonic()) > 0:
+                    self._changed.wait(None if timeout is None else left)
+        if self._gone:
+            raise ClosedError(f"{self}: its wire was closed")
+        raise DPTimeout(f"{self}: what was waited for did not come in {timeout} s; it is in {self.state}, outputs "
+                        f"{self.outputs.hex(' ') or 'none'}")
+
+    def __str__(self) -> str:
+        return f"slave {self.ident_number:04X}h at address {self.address}"
+
+    # -- What the host does ----------------------------------------------------------------------------------------
+
+    def attached(self, slave: Slave) -> None:
+        super().attached(slave)
+        self._gone = False
+        slave.set_ready(self._ready)
+        self._tell()
+
+    def detached(self) -> None:
+        super().detached()
+        with self._changed:
+            self._gone = True
+            self._changed.notify_all()
+
+    def _tell(self) -> None:
+        if self.slave is not None and self._diagnosis is not None:
+            octets, announce, fault, static = self._diagnosis
+            self.slave.diagnose(octets, announce=announce, ext_diag=fault, static_diag=static)
+
+    def step(self, now: float, exchange: Exchange) -> bytes:
+        with self._changed:
+            changed, self._exchange = exchange != self._exchange, exchange
+            if self.echo:
+                self._inputs[: len(self.outputs)] = self.outputs[: len(self._inputs)]
+            self._changed.notify_all()
+        if changed and self.on_change is not None:
+            self.on_change(self)
+        return self.inputs
+
+    def next_step(self, now: float) -> float:
+        return now + IDLE
+
+    def reset(self, now: float) -> None:
+        with self._changed:
+            self._inputs[:] = bytes(len(self._inputs))
+            self._diagnosis = None
+
+
+
+def _modules(configuration: bytes | Iterable[bytes]) -> list[bytes]:
+    if isinstance(configuration, bytes | bytearray):
+        return [identifier.encode() for identifier in decode(bytes(configuration))]
+    return [_arguments.octets("module", module, 1, 244) for module in configuration]
