@@ -13,6 +13,7 @@ from dpmaster.gsd.model import (
     RATES,
     Area,
     DataArea,
+    Device,
     Interface,
     Module,
     Parameter,
@@ -26,7 +27,7 @@ from dpmaster.gsd.source import Finding, Severity
 from dpmaster.gsd.texts import Texts
 
 __all__ = [
-    "ALARMS", "GSD", "LANGUAGES", "RATES", "Area", "Configuration", "DataArea", "Finding", "Interface", "Module", "Parameter",
-    "Parameters", "Place", "Placed", "PrmBlock", "PrmText", "Severity", "Slot", "Span", "Texts", "UnitDiagType", "Unknown",
-    "variants",
+    "ALARMS", "GSD", "LANGUAGES", "RATES", "Area", "Configuration", "DataArea", "Device", "Finding", "Interface", "Module",
+    "Parameter", "Parameters", "Place", "Placed", "PrmBlock", "PrmText", "Severity", "Slot", "Span", "Texts", "UnitDiagType",
+    "Unknown", "variants",
 ]

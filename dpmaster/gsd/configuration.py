@@ -96,7 +96,8 @@ class Configuration:
 
         identifiers = tuple(replace(entry, slot=at + entry.slot, inputs=moved(entry.inputs, inputs),
                                     outputs=moved(entry.outputs, outputs)) for entry in module.identifiers)
-        parameters = Parameters(f"slot {slot}, {name!r}", self.device, module, module.prm_length, self._check_prm)
+        parameters = Parameters(f"slot {slot}, {name!r}", self.device, module, module.prm_length, self._check_prm,
+                                slot)
         return Place(slot, name, module, identifiers, Span(inputs, module.input_length), Span(outputs, module.output_length),
                      parameters)
 
@@ -196,6 +197,10 @@ class Configuration:
 
     def _check(self) -> None:
         device = self.device
+        broken = next((place.module for place in self.places if not place.module.configuration), None)
+        if broken is not None or not self.places:
+            what = "no module is chosen" if broken is None else f"module {broken.name!r} has no identifiers in the file"
+            raise ConfigurationError(f"{device.title}: {what}; choose of {device.instead() or 'none: the file has no Module'}")
         limits = [("modules", len(self.places), self._most_modules(), "Max_Module"),
                   ("octets of inputs", self.input_length, min(IO_MAX, device.max_inputs or IO_MAX), "Max_Input_Len"),
                   ("octets of outputs", self.output_length, min(IO_MAX, device.max_outputs or IO_MAX), "Max_Output_Len"),
@@ -205,8 +210,6 @@ class Configuration:
         for what, there, limit, rule in limits:
             if there > limit:
                 raise ConfigurationError(f"{device.title}: {there} {what}, and {rule} is {limit}: take modules out")
-        if not self.octets:
-            raise ConfigurationError(f"{device.title}: no module is chosen; choose of {device.instead()}")
 
     def _most_modules(self) -> int:
         if self.device.max_modules is not None:
@@ -318,5 +321,5 @@ def default_modules(device: Device) -> list[Module]:
     preset = [module for module in device.modules if module.preset]
     if preset:
         return preset
-    with_data = [module for module in device.modules if module.input_length or module.output_length]
-    return (with_data or device.modules)[:1]
+    whole = [module for module in device.modules if module.whole]
+    return ([module for module in whole if module.input_length or module.output_length] or whole)[:1]

@@ -249,6 +249,14 @@ class Module(_Prm, _Diagnosis):
         return tuple(identifier.decode(self.configuration))
 
     @property
+    def whole(self) -> bool:
+        """Its identifiers can be read."""
+        try:
+            return bool(self.identifiers)
+        except ConfigurationError:
+            return False
+
+    @property
     def input_length(self) -> int:
         return sum(part.inputs.octets for part in self.identifiers if part.inputs)
 
@@ -482,7 +490,8 @@ class Device(_Prm, _Diagnosis):
     def instead(self, name: str = "") -> str:
         """Some modules' names, for a message: those most like `name`."""
         names = [module.name for module in self.modules]
-        chosen = difflib.get_close_matches(name, names, 5, 0.5) or names
+        holding = [other for other in names if name and plain(name) in plain(other)]
+        chosen = holding or difflib.get_close_matches(name, names, 5, 0.5) or names
         return ", ".join(map(repr, chosen[:5])) + (f", ... ({len(names)} in all)" if len(names) > 5 else "")
 
 

@@ -34,22 +34,29 @@ class Parameters(Mapping[str, int | str]):
 
     ``parameters["Redundancy mode"] = "on"``: a text of its PrmText, or a number. Capitals and blanks at the ends do not count.
     Where several have one name, it is followed by ``#1``, ``#2`` and so on, in the order of the octets they lie in. Reading
-    gives the text, or the number where there is none. Setting raises ConfigurationError for what is not allowed.
+    gives the text, or the number where there is none. Setting raises ConfigurationError for what is not allowed. What makers
+    call ``[SlotNumber]`` begins as the number of the module's slot.
     """
 
     def __init__(self, whose: str, device: Device, block: _Prm, length: int | None,
-                 changed: Callable[[], None] = lambda: None) -> None:
+                 changed: Callable[[], None] = lambda: None, slot: int | None = None) -> None:
         self._whose = whose
         self._constants = block.constants
         self._changed = changed
         found = [(offset, device.parameters[number]) for offset, number in block.references if number in device.parameters]
         found = [(offset, p) for offset, p in found if length is None or offset + p.octets <= length]
         self.placed = self._name(found)
-        self._values = {placed.name: placed.parameter.default for placed in self.placed}
+        self.defaults = {placed.name: self._default(placed.parameter, slot) for placed in self.placed}
+        self._values = dict(self.defaults)
         self._names = {plain(placed.name): placed for placed in self.placed}
         ends = [offset + len(octets) for offset, octets in self._constants] + [at + p.octets for at, p in found]
         self.length = max(ends, default=0) if length is None else length
         """Octets of the block."""
+
+    @staticmethod
+    def _default(parameter: Parameter, slot: int | None) -> int:
+        own = slot is not None and plain(parameter.name) == "[slotnumber]" and parameter.allows(slot)
+        return slot if own and slot is not None else parameter.default
 
     @staticmethod
     def _name(found: list[tuple[int, Parameter]]) -> tuple[Placed, ...]:
@@ -109,7 +116,7 @@ class Parameters(Mapping[str, int | str]):
     @property
     def changed(self) -> dict[str, int | str]:
         """Those that are not at their defaults."""
-        return {p.name: self[p.name] for p in self.placed if self._values[p.name] != p.parameter.default}
+        return {name: self[name] for name, value in self._values.items() if value != self.defaults[name]}
 
     @property
     def octets(self) -> bytes:

@@ -32,6 +32,7 @@ from dpmaster.gsd.model import (
     Unknown,
 )
 from dpmaster.gsd.source import Severity, Source, Statement, Token, number
+from dpmaster.identifier import IO_MAX
 
 ERROR, WARNING, NOTE = Severity.ERROR, Severity.WARNING, Severity.NOTE
 
@@ -152,6 +153,8 @@ class Open:
     what: Any
     block: Block
     name: str
+    key: str = ""
+    """The keyword that began it."""
 
 
 class SlotDefinition:
@@ -188,7 +191,7 @@ class Reader:
         key = plain(MISSPELLED.get(statement.keyword.lower(), statement.keyword))
         if key in self.stack[-1].block.ends_plain and not statement.equals:
             self.stack.pop()
-        elif isinstance(self.stack[-1].what, Unknown):
+        elif isinstance(self.stack[-1].what, Unknown) and key != self.stack[-1].key:
             self.stack[-1].what.content.append(self.unknown(statement))
         elif not statement.keyword:
             self.bare(statement)
@@ -196,6 +199,8 @@ class Reader:
             self.close(key, statement)
         else:
             depth = next((i for i in range(len(self.stack) - 1, -1, -1) if self.holds(self.stack[i].what, key)), None)
+            if isinstance(self.stack[-1].what, Unknown):
+                self.unwind(len(self.stack) - 2, statement)
             if depth is None:
                 self.keep(key, statement)
             else:
@@ -212,7 +217,7 @@ class Reader:
         if key in BLOCKS and isinstance(what, BLOCKS[key].within):
             name = f"{statement.keyword} {statement.raw[:40]}".strip()
             try:
-                self.stack.append(Open(BLOCKS[key].make(self, what, statement), BLOCKS[key], name))
+                self.stack.append(Open(BLOCKS[key].make(self, what, statement), BLOCKS[key], name, key))
             except Bad as bad:
                 self.note(ERROR, statement, f"{name}: {bad}; it is left out")
                 self.kept(key, statement)
@@ -265,7 +270,8 @@ class Reader:
     def open_unknown(self, key: str, statement: Statement, found: Unknown) -> None:
         name = key.removesuffix("beg")
         if self.ends.get(name, -1) > statement.offset:
-            self.stack.append(Open(found, Block((f"End{name}", f"End_{name}", f"{name}_End"), ()), statement.keyword))
+            self.stack.append(Open(found, Block((f"End{name}", f"End_{name}", f"{name}_End"), ()),
+                                   statement.keyword, key))
 
     # ---- values
 
@@ -389,9 +395,10 @@ def module(reader: Reader, device: Device, statement: Statement) -> Module:
     device.modules.append(found)
     reader.given[id(found), "", None] = statement.offset
     try:
-        found.configuration = octets(rest)
-        if not found.configuration:
-            raise Bad("identifiers are missing")
+        configuration = octets(rest)
+        if not 1 <= len(configuration) <= IO_MAX:
+            raise Bad(f"it has {len(configuration)} octets of identifiers, 1 to {IO_MAX} belong here")
+        found.configuration = configuration
         found.identifiers  # noqa: B018 - it is what tells whether they are whole
     except (Bad, ConfigurationError) as error:
         reader.note(ERROR, statement, f"Module {name!r}: {error}")
@@ -433,8 +440,8 @@ def interface(reader: Reader, device: Device, statement: Statement) -> Interface
     return made
 
 
-def jokerblock(reader: Reader, device: Device, statement: Statement) -> Unknown:
-    device.jokerblocks.append(made := reader.unknown(statement))
+def jokerblock(reader: Reader, what: Device | Module, statement: Statement) -> Unknown:
+    reader.device.jokerblocks.append(made := reader.unknown(statement))
     return made
 
 
