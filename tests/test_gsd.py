@@ -364,7 +364,49 @@ def test_junk_of_ten_times_the_length_takes_ten_times_the_time(kind: str) -> Non
     assert min(seconds(100_000) for _ in range(2)) < 40 * short
 
 
-LINES = st.sampled_from(['#Profibus_DP', 'PrmText = 1', 'Text(0) = "off"', 'EndPrmText', 'ExtUserPrmData = 1 "p"', 'Bit(3) 1 0-1', 'BitArea(2-9) 5 0-7', 'Signed16 -1 -32768-32767', 'Unsigned32 0', 'Prm_Text_Ref = 1', 'EndExtUserPrmData', 'Module = "m" 0xC1,0x81,0x83,0x10', 'Module = "e" 0x00', '1', 'Preset = 1', 'Ext_Module_Prm_Data_Len = 3', 'Ext_User_Prm_Data_Const(0) = 1,2,3', 'Ext_User_Prm_Data_Ref(1) = 1', 'EndModule', 'FixPresetModules = 1', 'SlotDefinition', 'Slot(1) = "s" 1 1-3', 'EndSlotDefinition', 'UnitDiagType = 130', 'X_Unit_Diag_Area = 24-25', 'X_Value(1) = "x"', 'X_Unit_Diag_Area_End', 'EndUnitDiagType', 'DPV1_Slave = 1', 'Max_User_Prm_Data_Len = 5', 'Modular_Station = 1', 'Data_Area_Beg', 'Data_Area_End', 'Physical_Interface = 0', 'Jokerblock_Type = 1', 'End_Jokerblock_Type', 'Foo = 1', 'EndFoo', 'User_Prm_Data = 1,2', '500_supp = 1', 'x = "a \\', '"'])
+GRAMMAR = '''#Profibus_DP
+PrmText = 1
+Text(0) = "off"
+EndPrmText
+ExtUserPrmData = 1 "p"
+Bit(3) 1 0-1
+BitArea(2-9) 5 0-7
+Signed16 -1 -32768-32767
+Unsigned32 0
+Prm_Text_Ref = 1
+EndExtUserPrmData
+Module = "m" 0xC1,0x81,0x83,0x10
+Module = "e" 0x00
+1
+Preset = 1
+Ext_Module_Prm_Data_Len = 3
+Ext_User_Prm_Data_Const(0) = 1,2,3
+Ext_User_Prm_Data_Ref(1) = 1
+EndModule
+FixPresetModules = 1
+SlotDefinition
+Slot(1) = "s" 1 1-3
+EndSlotDefinition
+UnitDiagType = 130
+X_Unit_Diag_Area = 24-25
+X_Value(1) = "x"
+X_Unit_Diag_Area_End
+EndUnitDiagType
+DPV1_Slave = 1
+Max_User_Prm_Data_Len = 5
+Modular_Station = 1
+Data_Area_Beg
+Data_Area_End
+Physical_Interface = 0
+Jokerblock_Type = 1
+End_Jokerblock_Type
+Foo = 1
+EndFoo
+User_Prm_Data = 1,2
+500_supp = 1
+x = "a \\
+"'''
+LINES = st.sampled_from(GRAMMAR.split("\n"))
 
 
 @given(st.lists(st.one_of(LINES, LINES, st.text(max_size=20)), max_size=40).map("\n".join) | st.text() | st.binary())
