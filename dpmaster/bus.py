@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import os
 import threading
-import time
 import weakref
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -186,9 +185,18 @@ class Bus:
     @property
     def allowance(self) -> float:
         """What the host may wake late, s."""
+        return float(self._traits().allowance / NS)
+
+    @property
+    def late(self) -> float:
+        """What an answer may come late, s: the host's allowance, and what a paced pty takes to hand over a telegram."""
+        traits = self._traits()
+        return float((traits.allowance + traits.delivery) / NS)
+
+    def _traits(self) -> Any:
         traits = ffi.new("dpm_port_traits *")
         lib.dpm_bus_get_traits(self._handle, traits)
-        return float(traits.allowance / NS)
+        return traits
 
     def _call(self, code: int, what: str, **context: object) -> int:
         """check(), with the words for a port that vanished and for a close that came in between."""
@@ -266,19 +274,10 @@ class Bus:
 
     def request(self, raw: Any, timeout: float | None) -> bool:
         """Carry out one ``dpm_raw``: True when it is done, False when `timeout` passed and it was taken back."""
-        deadline = None if timeout is None else time.monotonic() + timeout
-
-        def place() -> int | None:
-            code = int(lib.dpm_bus_request(self._handle, raw))
-            return None if code == lib.DPM_E_BUSY else code  # another thread's, or one taken back that is still out
-
-        code = self.wait(place, timeout)
-        if code is None:
-            return False
-        self._call(code, "request", address=raw.da)
+        self.guard()
+        self._call(lib.dpm_bus_request(self._handle, raw), "request", address=raw.da)
         try:
-            left = None if deadline is None else max(0.0, deadline - time.monotonic())
-            return self.wait(lambda: raw.done or None, left) is not None
+            return self.wait(lambda: raw.done or None, timeout) is not None
         finally:
             if not raw.done:  # its memory is ours again only after this
                 lib.dpm_bus_cancel(self._handle, raw)

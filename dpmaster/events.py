@@ -45,6 +45,7 @@ class EventKind(Named):
     PORT = 9
     DUPLICATE = 10
     LIVE = 11
+    ECHO = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +88,10 @@ class Event:
                 return "another station on the bus has this address, which is ours: the bus was left"
             case EventKind.LIVE:
                 return f"live list: {Live(self.b).text} -> {Live(self.a).text}"
+            case EventKind.ECHO:
+                heard, left = ("not at all", "bus") if self.a else ("otherwise than sent", "ring")
+                return (f"our own token was heard back {heard}, twice: a collision, a short, or the transceiver; "
+                        f"the {left} was left")
 
 
 class Events:

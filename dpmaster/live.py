@@ -168,7 +168,7 @@ class LiveList:
         """A slot that nobody answered in has held up the cycle: let that go on for a while."""
         if self._exchanging():
             parameters, bus = self._master.parameters, self._master._bus
-            slot = parameters.seconds(parameters.tsl) + bus.allowance
+            slot = parameters.seconds(parameters.tsl) + bus.late
             bus.wait(lambda: None, (SHARE - 1) * slot)
 
 

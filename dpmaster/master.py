@@ -113,6 +113,7 @@ class MasterStatistics:
     send_failed: int
     tokens_lost: int
     token_repetitions: int
+    tokens_spoilt: int  # own tokens not heard back as they were sent, behind a port that echoes
     gap_polls: int
     rejected: Mapping[str, int]
     port: PortStatistics
@@ -250,7 +251,7 @@ class Master:
         """Parameters with Tsl for this station too: "Tsl = max(table, largest MaxTsdr on the bus + 15)"."""
         rate = self._parameters.rate
         slowest = Slave.of(station).tsdr(rate) or 0
-        needed = tsl_needed(self._parameters, slowest, self._bus.allowance if self._ring else 0.0)
+        needed = tsl_needed(self._parameters, slowest, self._bus.late if self._ring else 0.0)
         fixed = self._given is not None or self._bus.master is not None
         if needed <= self._parameters.tsl and (fixed or slowest <= self._parameters.max_tsdr):
             return self._parameters
@@ -264,14 +265,14 @@ class Master:
 
     def _role(self, parameters: BusParameters) -> int:
         """How it takes part: "max Tsdr + 15 + allowance > Tsl does not enter, and the error names the Tsl needed"."""
-        needed = parameters.ring_tsl(self._bus.allowance)
+        needed = parameters.ring_tsl(self._bus.late)
         if self._ring is not False and needed <= parameters.tsl:
             return int(lib.DPM_ROLE_RING)
         if self._ring:
             raise ConfigurationError(
-                f"ring=True: the host behind {self._bus.path} may wake {self._bus.allowance * 1000:g} ms late, so the ring "
+                f"ring=True: behind {self._bus.path} telegrams may be noticed {self._bus.late * 1000:g} ms late, so the ring "
                 f"needs Tsl {needed}, and Tsl is {parameters.tsl}: give all its masters parameters=BusParameters.for_ring("
-                f"baudrate, allowance={self._bus.allowance:g}), or take a port that wakes sooner")
+                f"baudrate, allowance={math.ceil(self._bus.late * 1e5) / 1e5:g}), or take a port that wakes sooner")
         return int(lib.DPM_ROLE_SOLE)
 
     @property
@@ -314,7 +315,7 @@ class Master:
         slaves = [Slave.of(station) for station in self.stations if station.active]
         ring = self._in_ring
         predicted = cycle(self._parameters, slaves, allowance=self._bus.allowance, cycle_time=self.cycle_time, ring=ring,
-                          usual=self._choose(0).max_tsdr)
+                          delivery=self._bus.late - self._bus.allowance, usual=self._choose(0).max_tsdr)
         seconds = default_watchdog(predicted)
         # Nobody knows who will share the bus, but only that they keep the token for Ttr together.
         return min(seconds + self._parameters.seconds(self._parameters.ttr), WATCHDOG_MAX) if ring else seconds
@@ -443,7 +444,7 @@ class Master:
             text += f"; master {status.foreign} has the bus"
             if not self._in_ring:
                 text += ", and this one is silent beside it"
-                needed = self._parameters.ring_tsl(self._bus.allowance)
+                needed = self._parameters.ring_tsl(self._bus.late)
                 if needed <= TSL_MAX:
                     text += (": with ring=True and the same parameters=BusParameters.for_ring(...) in all masters, "
                              f"Tsl {needed} or more, they would share it")
@@ -528,6 +529,8 @@ class Master:
         if not self._bus.request(raw, timeout):
             self._bus.check_port()
             raise DPTimeout(f"the request to station {address} had no turn on the bus in {timeout} s")
+        if raw.status == lib.DPM_CONF_DS:
+            self._bus.check_port()  # it may be the reason why nothing was asked
         return _answer(raw)
 
     @property
@@ -539,8 +542,7 @@ class Master:
             status.cycle, status.cycle_last / NS, status.cycle_max / NS, FdlState(status.fdl_state),
             None if status.foreign < 0 else status.foreign, fdl.requests, fdl.answers, fdl.repetitions, fdl.unanswered,
             fdl.abandoned, fdl.sdn, fdl.tokens, fdl.late_dropped, fdl.stray, fdl.foreign, fdl.send_failed, fdl.tokens_lost,
-            fdl.token_repetitions,
-            fdl.gap_polls, rejected, self._bus.statistics())
+            fdl.token_repetitions, fdl.tokens_spoilt, fdl.gap_polls, rejected, self._bus.statistics())
 
     # ---- the end
 
@@ -650,6 +652,8 @@ def _log_event(event: Event, station: Station | None, told: dict[int, set[tuple[
             log.warning("%s", event)
         case EventKind.DUPLICATE:
             log.error("%s; give one of them another, then operate() again", event)
+        case EventKind.ECHO:
+            log.error("%s", event)
         case EventKind.LIVE:
             log.info("%s", event)
         case EventKind.PORT:

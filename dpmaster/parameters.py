@@ -91,7 +91,9 @@ class BusParameters:
 
     @classmethod
     def for_ring(cls, baudrate: int, max_tsdr: int = 0, *, allowance: float) -> BusParameters:
-        """The standard set with a Tsl that has room for a host which wakes up to `allowance` s late.
+        """The standard set with a Tsl that has room for a host which notices telegrams up to `allowance` s late.
+
+        It may wake late, and a paced pty hands over a telegram when it is whole; ``dpmaster timing`` computes both.
 
         A master enters a ring only with such a Tsl, and all masters of the ring need the same. Raises `ConfigurationError` as
         `default`, and where no Tsl is long enough.
@@ -105,7 +107,7 @@ class BusParameters:
         return replace(standard, tsl=max(tsl, standard.tsl))
 
     def ring_tsl(self, allowance: float) -> int:
-        """Tsl, Tbit, that a ring needs for a host which wakes up to `allowance` s late: max Tsdr + 15 + allowance."""
+        """Tsl, Tbit, that a ring needs for a host which is up to `allowance` s late: max Tsdr + 15 + allowance."""
         if allowance:
             seconds("allowance", allowance, 1, ", or 0")
         return int(lib.dpm_ring_tsl(self.to_c(), round(allowance * NS)))

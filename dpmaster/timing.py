@@ -130,8 +130,9 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """What `plan` found. `ttd` in Tbit; `tsl_needed`, Tbit, is the least that works here; `watchdog`, s, the default one, of
-    which a finding says when it is over its bound."""
+    """What `plan` found. `delivery`, s, is what a paced pty takes to hand over the longest telegram; `ttd` in Tbit;
+    `tsl_needed`, Tbit, is the least that works here; `watchdog`, s, the default one, of which a finding says when it is over
+    its bound."""
 
     parameters: BusParameters
     slaves: tuple[Slave, ...]
@@ -140,6 +141,7 @@ class Timing:
     ring: bool
     profile: str
     allowance: float
+    delivery: float
     others: float | None
     ttd: int
     tsl_needed: int
@@ -165,13 +167,15 @@ def _bits(seconds: float, rate: Fraction) -> int:
     return math.ceil(round(seconds * float(rate), 6))
 
 
-def cycle(parameters: BusParameters, slaves: Sequence[Slave], *, allowance: float = 0.0, cycle_time: float | None = None,
-          ring: bool = False, masters: int = 1, others: float | None = None, ttd: int = 0, usual: int | None = None) -> Cycle:
+def cycle(parameters: BusParameters, slaves: Sequence[Slave], *, allowance: float = 0.0, delivery: float = 0.0,
+          cycle_time: float | None = None, ring: bool = False, masters: int = 1, others: float | None = None, ttd: int = 0,
+          usual: int | None = None) -> Cycle:
     """Predict the cycle of a master with these slaves (protocol: T_cycle = sum of T_DX + T_token + T_gap + T_GC).
 
-    allowance: s that the host may wake late. A sole master waits it out behind every slot, as the wait is Tsl + allowance; in a
-    `ring` it lies inside Tsl. others: s that each other master holds the token; None: as long as this one. ttd: Tbit one way.
-    usual: MaxTsdr, Tbit, of slaves that name none; None: the bus's.
+    allowance: s that the host may wake late, delivery: s that a paced pty takes to hand over a telegram. A sole master waits
+    both out behind every slot, as the wait is Tsl + allowance + delivery; in a `ring` they lie inside Tsl. others: s that each
+    other master holds the token; None: as long as this one. ttd: Tbit one way. usual: MaxTsdr, Tbit, of slaves that name none;
+    None: the bus's.
     """
     p = parameters
 
@@ -190,7 +194,7 @@ def cycle(parameters: BusParameters, slaves: Sequence[Slave], *, allowance: floa
     busy = own + foreign
 
     failures = [p.seconds(p.predict_failure(slave.outputs)) for slave in slaves] or [p.seconds(p.predict_failure(0))]
-    lost, slot, limit = max(failures), 0.0 if ring else allowance, p.max_retry_limit
+    lost, slot, limit = max(failures), 0.0 if ring else allowance + delivery, p.max_retry_limit
     late = allowance * len(slaves) + slot * limit * len(failures)
     return Cycle(
         exchanges,
@@ -250,15 +254,16 @@ def plan(baudrate: int = 500_000, slaves: Sequence[Slave] = (), *, addresses: Se
     base = parameters or BusParameters.default(baudrate)
     rate, usual = base.rate, changes.get("max_tsdr", base.max_tsdr)
     ttd = math.ceil(repeaters * repeater_delay + Fraction(length) * PROPAGATION * rate)
-    inside = allowance if ring else 0.0
+    delivery = pty_delivery(rate) if profile == "pty" else 0.0
+    inside = allowance + delivery if ring else 0.0
     tsdr = max(usual, slowest(slaves, rate))
     needed = tsl_needed(base, tsdr, inside, ttd)
     if parameters is None:
         base = replace(base, max_tsdr=tsdr, tsl=min(max(base.tsl, needed), TSL_MAX))
     values: dict[str, Any] = dict(changes)
     chosen = replace(base, **values)
-    predicted = cycle(chosen, slaves, allowance=allowance, cycle_time=cycle_time, ring=ring, masters=masters, others=others,
-                      ttd=ttd, usual=usual)
+    predicted = cycle(chosen, slaves, allowance=allowance, delivery=delivery, cycle_time=cycle_time, ring=ring,
+                      masters=masters, others=others, ttd=ttd, usual=usual)
     ttr = _bits(predicted.rotation, rate)
     if parameters is None and "ttr" not in changes:
         chosen = replace(chosen, ttr=min(max(chosen.ttr, ttr), TTR_MAX))
@@ -272,7 +277,7 @@ def plan(baudrate: int = 500_000, slaves: Sequence[Slave] = (), *, addresses: Se
         *_rate(chosen, profile),
         *_watchdogs(predicted, slaves),
     ]
-    return Timing(chosen, tuple(slaves), tuple(addresses), masters, ring, profile, allowance, others, ttd, needed,
+    return Timing(chosen, tuple(slaves), tuple(addresses), masters, ring, profile, allowance, delivery, others, ttd, needed,
                   predicted, _generous(predicted), tuple(sorted(findings, key=lambda finding: not finding.fatal)))
 
 
@@ -283,6 +288,11 @@ def profile_allowance(profile: str) -> float:
     traits = ffi.new("dpm_port_traits *")
     check(lib.dpm_profile_traits(PROFILES[profile], traits), f"profile {profile}")
     return float(traits.allowance / NS)
+
+
+def pty_delivery(rate: Fraction) -> float:
+    """s from the first octet of the longest telegram until a paced pty hands it over."""
+    return float(lib.dpm_pty_delivery(rate.numerator, rate.denominator) / NS)
 
 
 def tsl_needed(parameters: BusParameters, max_tsdr: int, inside: float = 0.0, ttd: int = 0) -> int:
@@ -339,7 +349,7 @@ def _slot(p: BusParameters, needed: int, tsdr: int, inside: float, ttd: int, mas
     """The slot time against the slowest answer; "the error names the Tsl needed"."""
     total = f"max Tsdr {tsdr} + {TSL_MARGIN}" + (f" + 2 TTD {2 * ttd}" if ttd else "")
     if inside:
-        total += f" + {needed - tsdr - TSL_MARGIN - 2 * ttd} for a host that wakes {_ms(inside)} late"
+        total += f" + {needed - tsdr - TSL_MARGIN - 2 * ttd} for a telegram noticed {_ms(inside)} late"
     remedies = ["a port with a smaller allowance"] if inside else []
     if needed > TSL_MAX:
         remedies += [f"at most {lower / 1000:g} kbit/s" for lower in _rates_that_fit(p.rate, slaves, inside)[-1:]]

@@ -361,6 +361,33 @@ def test_a_late_answer_to_what_was_given_up_does_not_spoil_the_next_request():
     assert request.done and request.status == lib.DPM_CONF_ANSWER and request.tries == 1
 
 
+@pytest.mark.parametrize("given_up, distrusted", [("Data_Exchange", True), ("Slave_Diag", False)])
+def test_a_late_sc_acknowledges_nobody_else(given_up, distrusted):
+    """SC has no address. Behind a request that SC would have answered and that was given up, it is believed when the next
+    station says it to the repetition, too; a responder sends its stored answer again (protocol page C.2 rule 3)."""
+    master, script = stopped()
+    master.request(8, lib.DPM_SRD_HIGH, b"", 60, 62)  # 8 is known: its requests are repeatable
+    script.next()
+    script.answer(DIAG)
+    sap = (60, 62) if given_up == "Slave_Diag" else (-1, -1)
+    late = master.request(9, lib.DPM_SRD_HIGH, b"" if given_up == "Slave_Diag" else b"\1", *sap)
+    script.next()
+    script.silence(script.bits(201))
+    assert late.done and late.status == lib.DPM_CONF_NA
+    request = master.request(8, lib.DPM_SRD_HIGH, b"\0", 61, 62)
+    first = script.next()
+    script.answer("E5", tsdr=20)
+    assert request.done == (not distrusted) and master.status.fdl.stray == distrusted
+    if distrusted:
+        assert script.next() == first
+        script.answer("E5")
+    assert request.done and request.status == lib.DPM_CONF_ANSWER and request.tries == 1 + distrusted
+    again = master.request(8, lib.DPM_SRD_HIGH, b"\1")
+    script.next()
+    script.answer("E5")
+    assert again.done and again.tries == 1
+
+
 def test_a_doubled_answer_does_not_meet_the_next_exchange():
     """Two tries may bring two answers: the second one finds nobody waiting."""
     master, script = stopped()

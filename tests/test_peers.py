@@ -38,7 +38,7 @@ LINES = {
                            "test_dp_master.py::test_rs_in_data_exchange_leads_to_slave_diag_at_once",
     "parity errors never seen": "test_port.py::test_marks_of_the_driver_become_line_errors "
                                 "test_fdl.py::test_an_answer_with_a_line_error_is_no_answer",
-    "no echo handling": "test_port.py::test_an_echo_is_found_out_and_removed "
+    "no echo handling": "test_port.py::test_an_echo_is_found_out_and_marked "
                         "test_fdl.py::test_our_own_echo_is_not_a_foreign_master",
     "two programs can open one port": "test_port.py::test_a_port_of_somebody_else_is_refused "
                                        "test_port.py::test_a_port_is_opened_once",

@@ -56,8 +56,9 @@ class Recorder:
         self.log.clear()
         return entries
 
-    def received(self) -> bytes:
-        return b"".join(entry[0] for entry in self.take("octets"))
+    def received(self, echo: bool = False) -> bytes:
+        """Octets of others, or our own heard back; the log is emptied."""
+        return b"".join(entry[0] for entry in self.take("octets") if entry[-1] == echo)
 
 
 class Port:
@@ -88,12 +89,12 @@ class Port:
         lib.dpm_port_get_info(self.port, info)
         return info
 
-    def hear(self, octets: bytes) -> bytes:
-        """Send `octets` from the far end and read them here; returns what the machine was given."""
+    def hear(self, octets: bytes, echo: bool = False) -> bytes:
+        """Send `octets` from the far end and read them here; returns what the machine was given as others' or as our echo."""
         os.write(self.far, octets)
         assert lib.dpm_port_wait(self.port, -1, lib.dpm_now() + 5_000_000_000) == 1
         assert self.read() == len(octets)
-        return self.recorder.received()
+        return self.recorder.received(echo)
 
     def read(self) -> int:
         return int(lib.dpm_port_read(self.port, self.recorder.machine))
@@ -394,10 +395,11 @@ REQUEST = bytes.fromhex("10 05 02 49 50 16")  # Request FDL Status 2 -> 5
 ANSWER = bytes.fromhex("10 02 05 00 07 16")
 
 
-def test_an_echo_is_found_out_and_removed(opened: Opener) -> None:
+def test_an_echo_is_found_out_and_marked(opened: Opener) -> None:
+    """Design: octets carry "where the port knows it, the mark 'echo of ours'"."""
     port = opened()
     port.write(REQUEST)
-    assert port.hear(REQUEST) == b""
+    assert port.hear(REQUEST, echo=True) == REQUEST
     assert port.hear(ANSWER) == ANSWER
     assert (port.info.echo_octets, port.info.echo_errors) == (6, 0)
 
@@ -463,12 +465,39 @@ def test_octets_held_back_are_given_when_no_echo_can_come_any_more(opened: Opene
 def test_where_an_echo_is_due_anything_else_is_counted(opened: Opener) -> None:
     port = opened(echo=lib.DPM_ECHO_ON)
     port.write(REQUEST)
-    collided = REQUEST[:4] + b"\x51\x16"
-    assert port.hear(collided) == collided
     port.write(REQUEST)
     port.write(REQUEST)  # the one before was not heard at all
-    assert port.hear(REQUEST) == b""
-    assert (port.info.echo_octets, port.info.echo_errors) == (6, 2)
+    assert port.hear(REQUEST, echo=True) == REQUEST
+    port.write(REQUEST)
+    assert port.hear(ANSWER) == ANSWER
+    assert (port.info.echo_octets, port.info.echo_errors) == (6, 3)
+
+
+@pytest.mark.parametrize("spoilt", ["10 05 02 49 51 16", "10 FF 02 49 50 16", "10 05 02 49 50 00"])
+def test_an_echo_that_differs_here_and_there_is_ours_and_spoilt(opened: Opener, spoilt: str) -> None:
+    """A collision or a short: nobody else's telegram, and the machine that has sent it compares."""
+    port = opened(echo=lib.DPM_ECHO_ON)
+    port.write(REQUEST)
+    assert port.hear(bytes.fromhex(spoilt) + ANSWER) == ANSWER
+    port.write(REQUEST)
+    assert port.hear(bytes.fromhex(spoilt), echo=True) == bytes.fromhex(spoilt)
+    assert (port.info.echo_octets, port.info.echo_errors) == (10, 2)
+
+
+def test_what_is_left_of_an_echo_is_given_when_no_more_can_come(opened: Opener) -> None:
+    port = opened(echo=lib.DPM_ECHO_ON, allowance=0, pace=lib.DPM_PACE_NONE)
+    port.write(REQUEST)
+    os.write(port.far, REQUEST[:4])
+    select.select([lib.dpm_port_fd(port.port)], [], [], 5.0)
+    assert port.read() == 4
+    assert port.read() == 0
+    assert port.recorder.received(echo=True) == REQUEST[:4]
+    assert port.info.echo_errors == 1
+
+
+def test_a_port_that_was_told_of_its_echo_says_so(opened: Opener) -> None:
+    assert opened(echo=lib.DPM_ECHO_ON).info.traits.echo
+    assert not opened().info.traits.echo
 
 
 def test_an_echo_once_found_is_expected(opened: Opener) -> None:

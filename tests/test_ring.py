@@ -7,8 +7,11 @@ themselves, with every rule of the wire watched, is test_ring_soak.py's.
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import pytest
-from wire import MS, Master, Offer, S, Script, Slaves, Wire, default_parameters, lib, octets
+from simulation import Simulation
+from wire import MS, US, Master, Offer, S, Script, Slaves, Wire, default_parameters, feed, lib, octets
 
 RING = lib.DPM_ROLE_RING
 TSL = 200  # Tbit at 500 kbit/s
@@ -253,8 +256,8 @@ def test_one_high_priority_cycle_even_when_the_rotation_took_too_long():
             turn.append(sent)
         assert len(turn) <= 1 and all(sent[0] == 0x68 for sent in turn), "not the raw request, not the GAP"
         messages += turn
-        bus.script.answer(token(2, 9), tsdr=37)
-        bus.script.answer(token(5, 2), tsdr=37)
+        bus.script.answer(token(2, 9), tsdr=150)  # no rotation takes less than Ttr
+        bus.script.answer(token(5, 2), tsdr=150)
     assert len(messages) > 3 and not raw.done
 
 
@@ -341,6 +344,117 @@ def test_noise_at_every_moment_of_a_token_pass_heals(noise, moment):
     wire.run(wire.now + wire.character * 3 * 40 + 16 * 400_000 * 2)
     assert all(m.view.rotations > b + 3 for m, b in zip(masters, before, strict=True))
     assert all(m.las == {5, 9} for m in masters)
+
+
+# --- self-listening -----------------------------------------------------------------------------------------------------
+
+TOKEN, GARBLE, LOSE = lib.DPM_TRAFFIC_TOKEN, lib.DPM_FAULT_GARBLE, lib.DPM_FAULT_LOSE
+
+
+class Echoing:
+    """A ring of ours at 5 and 9 on the simulated segment, behind ports that hear themselves."""
+
+    def __init__(self, *addresses: int, role: int = RING, told: bool = False, **host: int) -> None:
+        parameters = default_parameters(500_000)
+        late = 4 * host.get("lateness", 0) + host.get("chunk", 0)  # late to look, to see the token, to wake for its own
+        parameters.tsl = max(TSL, lib.dpm_ring_tsl(parameters, late))
+        parameters.hsa = 12
+        self.masters = [Master(parameters=parameters, address=a, role=role, slaves=1, echo=told, allowance=late,
+                               granularity=late) for a in addresses]
+        self.wire = Simulation(parameters)
+        for master in self.masters:
+            self.wire.attach(master, echo=True, **host)
+            master.mode(lib.DPM_MODE_STOP)
+        self.wire.run(1 * S, violation=False)
+        assert all(master.las == set(addresses) for master in self.masters)
+        self.wire.clear()
+
+    def spoil(self, fault: int, *nth: int) -> None:
+        """What becomes of coming tokens to 9."""
+        for n in nth:
+            self.wire.plan(TOKEN, fault, nth=n, address=9)
+
+    def told(self, i: int = 0) -> list[int]:
+        return [e.a for e in self.masters[i].events() if e.kind == lib.DPM_EV_ECHO]
+
+
+@pytest.mark.parametrize("host", [{}, {"lateness": 100 * US}, {"chunk": 400 * US}], ids=["exact", "late", "chunk"])
+def test_a_fine_echo_changes_nothing(host):
+    bus = Echoing(5, 9, **host)
+    bus.wire.run(tokens=400)
+    bus.wire.check()
+    assert all(m.status.fdl.tokens_spoilt == m.status.fdl.tokens_lost == 0 and m.las == {5, 9} for m in bus.masters)
+    idle = [b.start - a.end for a, b in pairwise(bus.wire.tap(40)) if a.kind == "token"]
+    if not host:
+        assert max(idle) < bus.wire.bits(37.1), "the echo is over with the frame: it costs no time"
+
+
+@pytest.mark.parametrize("fault", [GARBLE, LOSE])
+def test_an_own_token_that_comes_back_wrong_once_is_passed_again(fault):
+    """It may be the line's fault: "as if it had been received correctly". Whoever hears no reaction first repeats its pass."""
+    bus = Echoing(5, 9)
+    bus.spoil(fault, 1)
+    bus.wire.run(tokens=100, violation=False)
+    assert bus.masters[0].status.fdl.tokens_spoilt == 1
+    assert sum(m.status.fdl.token_repetitions for m in bus.masters) == 1
+    assert all(m.las == {5, 9} for m in bus.masters) and bus.told() == []
+
+
+def test_an_own_token_that_comes_back_wrong_twice_is_the_transceivers_fault():
+    """Out of the ring, to Listen_Token, and reported (protocol page E.1): not a third try, and silence for Tto at least."""
+    bus = Echoing(5, 9)
+    bus.spoil(GARBLE, 1, 2)
+    five, nine = bus.masters
+    bus.wire.run(1 * MS, violation=False)
+    assert bus.told() == [0] and five.status.fdl.tokens_spoilt == 2
+    assert five.status.fdl_state == lib.DPM_FDL_LISTEN_TOKEN
+    sent = five.status.fdl.tokens
+    bus.wire.run(until=bus.wire.tap(1)[0].end + bus.wire.bits((6 + 2 * 5) * TSL) - 1, violation=False)
+    assert five.status.fdl.tokens == sent
+    bus.wire.run(50 * MS, violation=False)
+    assert five.las == nine.las == {5, 9}, "it was the line after all"
+
+
+@pytest.mark.parametrize("told", [False, True])
+@pytest.mark.parametrize("role", [RING, lib.DPM_ROLE_SOLE])
+def test_who_hears_nothing_of_its_own_tokens_leaves_the_bus(role, told):
+    """A dead transceiver: deaf as well, it would claim a token that others have (EN 50170 part 4: to Offline)."""
+    bus = Echoing(9, role=role, told=told)
+    bus.spoil(LOSE, 1, 2)
+    nine = bus.masters[0]
+    bus.wire.run(100 * MS, violation=False)
+    assert bus.told() == [1] and nine.status.mode == lib.DPM_MODE_OFFLINE
+    assert nine.status.fdl_state == lib.DPM_FDL_OFFLINE
+    sent = nine.status.fdl.tokens
+    bus.wire.run(1 * S)
+    assert nine.status.fdl.tokens == sent
+    nine.mode(lib.DPM_MODE_STOP, bus.wire.now)
+    bus.wire.run(100 * MS)
+    assert nine.status.fdl.tokens > sent + 10, "the program may try again"
+
+
+def test_a_transmitter_that_was_never_alive_claims_nothing_for_long():
+    """Where the port is told of its echo, the first two tokens tell."""
+    master = Master(500_000, address=5, role=RING, echo=True)
+    master.mode(lib.DPM_MODE_STOP)
+    script = Script(master)
+    assert script.next(tokens=True) == script.next(tokens=True) == token(5, 5)
+    assert script.next(limit=1 * S, tokens=True) == b"" and master.status.fdl_state == lib.DPM_FDL_OFFLINE
+
+
+def test_a_successor_that_goes_on_has_the_token_however_it_came_back():
+    """Our receiver was wrong, not the token: a rotation later it counts from the beginning."""
+    bus = Bus(echo=True)
+    bus.listened()
+    bus.script.answer(status(5, 2), tsdr=37)
+    bus.script.next(limit=bus.script.bits(120))
+    for _ in range(4):
+        bus.script.answer(token(5, 2), tsdr=37)
+        while (sent := bus.script.next(tokens=True)) != token(9, 5):
+            feed(bus.master.machine, sent, bus.script.now, bus.script.character, echo=True)
+        feed(bus.master.machine, b"\xdc\x09\x45", bus.script.now, bus.script.character, echo=True)
+        bus.script.answer(token(2, 9), tsdr=37)
+    assert bus.state == lib.DPM_FDL_ACTIVE_IDLE and bus.master.status.fdl.tokens_spoilt == 4
 
 
 # --- a host that wakes late, the live list ------------------------------------------------------------------------------
@@ -501,3 +615,62 @@ def test_data_exchange_goes_on_in_a_ring_of_two_masters():
         report = slaves.report(i)
         assert report.master == master.view.ts and report.watchdog_expired == 0
         assert master.slave(0).statistics.exchanges > 90 and master.slave(0).statistics.repetitions == 0
+
+
+# --- a sole master beside a ring -------------------------------------------------------------------------------------------
+
+
+class Beside:
+    """A master of a ring whose Tsl is for late hosts, and later a sole one with the standard Tsl, on ports of the same kind."""
+
+    def __init__(self, rate: int, allowance: int, seed: int = 0, **options) -> None:
+        self.ring = default_parameters(rate)
+        self.ring.tsl = lib.dpm_ring_tsl(self.ring, allowance)
+        host = {"lateness": allowance // 20, "seed": seed}
+        self.owner = Master(parameters=self.ring, address=2, role=RING, allowance=allowance, slaves=1)
+        self.guest = Master(rate, address=0, allowance=allowance, slaves=1)
+        self.wire = Simulation(self.ring)
+        self.port = self.wire.attach(self.owner, **host)
+        self.owner.mode(lib.DPM_MODE_STOP)
+        while self.owner.status.fdl.gap_polls < 125:  # then it rests, and is silent for as long as it ever is
+            self.wire.run(100 * MS)
+        self.wire.attach(self.guest, **(host | {"seed": seed + 1}))
+
+    def begin(self) -> None:
+        self.guest.mode(lib.DPM_MODE_STOP, self.wire.now)
+
+
+@pytest.mark.parametrize("rate, allowance", [(500_000, 25 * MS), (500_000, 2 * MS), (93_750, 25 * MS), (9600, 25 * MS)])
+def test_a_sole_master_does_not_talk_over_an_idle_one_with_a_long_slot(rate, allowance):
+    """Its Tto is of the standard Tsl; the other one, idle, says its token often enough for that."""
+    for seed in range(5):
+        bus = Beside(rate, allowance, seed)
+        bus.wire.run(7 * seed * MS)
+        bus.begin()
+        for _ in range(20):
+            bus.owner.request(100, lib.DPM_FDL_STATUS)  # a slot of silence each
+        bus.wire.run(3 * S)
+        assert bus.guest.status.fdl.tokens == 0, "not one telegram"
+        assert bus.owner.status.fdl.tokens_lost == 0 and bus.wire.statistics.collisions == 0
+
+
+def test_a_sole_master_takes_the_bus_when_the_other_one_is_gone():
+    bus = Beside(500_000, 25 * MS)
+    bus.begin()
+    bus.wire.run(1 * S)
+    bus.wire.power(bus.port, False)
+    bus.wire.run(1 * S, violation=False)
+    assert bus.guest.status.fdl.tokens > 0
+
+
+def test_who_gave_way_waits_for_four_times_the_longest_silence_of_that_ring():
+    """It does not know that ring's Tsl, but what it has heard of it."""
+    master = Master(500_000, address=0)
+    master.mode(lib.DPM_MODE_STOP)
+    script = Script(master)
+    assert script.next(tokens=True) == token(0, 0)
+    for silence in (100, 900, 1100, 300):  # Tto is 1200
+        script.answer(token(9, 5), tsdr=silence)
+    end = script.now
+    assert script.next(tokens=True) == token(0, 0)
+    assert script.idle_bits(end) == pytest.approx(4 * (1100 + 11), abs=1), "to the end of the first octet"

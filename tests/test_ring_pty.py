@@ -32,14 +32,15 @@ from dpmaster import (
 from dpmaster.drives import YaskawaV7
 from dpmaster.emulator import Segment
 from dpmaster.emulator.cards import SIP1
-from dpmaster.timing import profile_allowance
+from dpmaster.timing import plan, profile_allowance
 
 RATE = 500_000
 ALLOWANCE = profile_allowance("pty")  # s
-TSL = 100 + 15 + round(ALLOWANCE * RATE)  # max Tsdr + 15 + allowance
+LATE = ALLOWANCE + 255 * 11 / RATE  # and a paced hub hands over a telegram, of 255 octets at the most, when it is whole
+TSL = 100 + 15 + round(LATE * RATE)  # max Tsdr + 15 + allowance
 SECONDS = float(os.environ.get("DPM_RING_SECONDS", "3"))
 # Ttr and HSA as two masters need them, so that a master which comes later is found soon.
-PARAMETERS = replace(BusParameters.for_ring(RATE, allowance=ALLOWANCE), hsa=4, ttr=50_000, g=2)
+PARAMETERS = replace(BusParameters.for_ring(RATE, allowance=LATE), hsa=4, ttr=50_000, g=2)
 
 # Real time where the system grants it: what is tested is the ring, and not how late a loaded machine's scheduler can be.
 OPTIONS = {"ring": True, "output_watchdog": None, "realtime": True}
@@ -73,7 +74,7 @@ def test_the_slot_decides_about_the_ring(wire: Segment) -> None:
 
 
 def test_a_master_that_must_enter_is_told_the_tsl_it_needs(wire: Segment) -> None:
-    words = rf"{ALLOWANCE * 1000:g} ms late.*needs Tsl {TSL}, and Tsl is 200.*for_ring\(baudrate, allowance={ALLOWANCE:g}\)"
+    words = rf"{LATE * 1000:g} ms late.*needs Tsl {TSL}, and Tsl is 200.*for_ring\(baudrate, allowance={LATE:g}\)"
     with pytest.raises(ConfigurationError, match=words):
         Master(wire.port(), RATE, ring=True)
     port = wire.port()
@@ -110,6 +111,40 @@ def test_a_sole_master_says_why_it_is_silent_beside_a_ring(wire: Segment) -> Non
         other.operate()
         with pytest.raises(DPError, match=f"master 2 has the bus, and this one is silent beside it: .*Tsl {TSL} or more"):
             master.operate(timeout=1.0)
+
+
+@pytest.mark.parametrize("rate", [9600, 187_500, RATE])
+def test_timing_computes_what_a_master_on_a_paced_pty_needs(rate: int) -> None:
+    """At 9600 bit/s the longest telegram is handed over 0.29 s behind its first octet: more than anything else in Tsl."""
+    timing = plan(rate, masters=2, addresses=(1, 2), profile="pty")
+    assert timing.works and timing.parameters.tsl == timing.tsl_needed
+    with Segment(rate) as wire:
+        Master(wire.port(), parameters=timing.parameters, ring=True).close()
+        short = replace(timing.parameters, tsl=timing.tsl_needed - 1)
+        with pytest.raises(ConfigurationError, match=f"needs Tsl {timing.tsl_needed}, and"):
+            Master(wire.port(), parameters=short, ring=True)
+
+
+def test_a_master_with_echo_hears_its_own_tokens() -> None:
+    with Segment(RATE, echo=True) as wire:
+        card = wire.attach(SIP1(address=11))
+        with Master(wire.port(), parameters=PARAMETERS, echo=True, output_watchdog=None) as master:
+            master.add(YaskawaV7(address=11))
+            master.operate()
+            until(lambda: master.statistics.tokens > 50)
+            counts = master.statistics
+            assert counts.tokens_spoilt == counts.port.echo_errors == 0 and counts.port.echo_octets > 150
+            assert wire.report(card).watchdog_expired == 0
+
+
+def test_a_master_whose_echo_is_not_there_leaves_the_bus(wire: Segment, caplog: pytest.LogCaptureFixture) -> None:
+    with Master(wire.port(), parameters=PARAMETERS, echo=True) as master:
+        events = master.events()
+        master.stop()
+        until(lambda: master.mode == Mode.OFFLINE)
+        assert EventKind.ECHO in iter(lambda: event.kind if (event := events.take(1.0)) else None, None)
+        until(lambda: "our own token was heard back not at all" in caplog.text)
+        assert master.statistics.tokens == 2
 
 
 # ---- a duplicate address, a listener

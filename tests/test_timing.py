@@ -406,7 +406,7 @@ def test_what_will_not_work_is_said_with_a_remedy_and_1(capsys: pytest.CaptureFi
     code, out = run(capsys, "--station", "5:6/6:watchdog=1", "--masters", "2", "--profile", "pty", "--tsl", "200")
     assert code == 1
     assert out.count("WILL NOT WORK") == 2 and out.count("remedy:") == 2
-    assert "12615" in out  # 100 + 15 + 25 ms at 500 kbit/s
+    assert "15420" in out  # 100 + 15 + 25 ms + 255 characters at 500 kbit/s
 
 
 def test_json_says_the_same(capsys: pytest.CaptureFixture[str]) -> None:

@@ -73,8 +73,8 @@ class Master:
     """A dpm_master in memory of its own, with its images."""
 
     def __init__(self, rate: int = 500_000, address: int = 1, *, parameters: Any = None, slaves: int = 126,
-                 allowance: int = 0, granularity: int = 0, delivery: int = 0, cycle_time: int = 0, output_watchdog: int = 0,
-                 control_interval: int = 400 * MS, role: int = lib.DPM_ROLE_SOLE) -> None:
+                 allowance: int = 0, granularity: int = 0, delivery: int = 0, echo: bool = False, cycle_time: int = 0,
+                 output_watchdog: int = 0, control_interval: int = 400 * MS, role: int = lib.DPM_ROLE_SOLE) -> None:
         config = ffi.new("dpm_master_config *")
         self.parameters = parameters or default_parameters(rate)
         config.station.parameters = self.parameters[0]
@@ -83,6 +83,7 @@ class Master:
         config.station.traits.allowance = allowance
         config.station.traits.granularity = granularity
         config.station.traits.delivery = delivery
+        config.station.traits.echo = echo
         config.slaves = slaves
         config.cycle_time = cycle_time
         config.output_watchdog = output_watchdog

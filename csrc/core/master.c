@@ -319,7 +319,7 @@ static void master_token(void *context, int64_t now, bool held)
         return;
     lose_all(m, now);
     finish_leaving(m, now);
-    if (dpm_station_state(&m->station) == DPM_FDL_OFFLINE) { /* another station has our address */
+    if (dpm_station_state(&m->station) == DPM_FDL_OFFLINE) { /* another station has our address, or the port is deaf and dumb */
         make_outputs_safe(m, false, now);
         enter_mode(m, DPM_MODE_OFFLINE, now);
     }
@@ -333,7 +333,7 @@ static int raw_next(void *context, int64_t now, dpm_request *request, int64_t *w
     const dpm_raw *raw = m->raw;
     (void)now;
     (void)wake;
-    if (!raw || m->raw_out)
+    if (!raw)
         return 0;
     m->raw_out = true;
     *request = (dpm_request){.da = raw->da, .function = raw->function, .dsap = raw->dsap, .ssap = raw->ssap,
@@ -342,15 +342,11 @@ static int raw_next(void *context, int64_t now, dpm_request *request, int64_t *w
     return 1;
 }
 
-static void raw_confirm(void *context, int64_t now, const dpm_confirm *confirm)
+/* The first of the queue is done. */
+static void finish_raw(dpm_master *m, const dpm_confirm *confirm)
 {
-    dpm_master *m = context;
     dpm_raw *raw = m->raw;
-    (void)now;
-    m->raw_out = false;
-    if (!raw)
-        return; /* cancelled meanwhile */
-    m->raw = NULL;
+    m->raw = raw->next;
     raw->status = confirm->status;
     raw->fc = confirm->fc;
     raw->short_ack = confirm->short_ack;
@@ -363,22 +359,48 @@ static void raw_confirm(void *context, int64_t now, const dpm_confirm *confirm)
     m->station.machine.progress++;
 }
 
+static void raw_confirm(void *context, int64_t now, const dpm_confirm *confirm)
+{
+    dpm_master *m = context;
+    const bool cancelled = m->raw_cancelled;
+    (void)now;
+    m->raw_out = m->raw_cancelled = false;
+    if (!cancelled)
+        finish_raw(m, confirm);
+}
+
+/* Off the bus nothing has its turn: who waits is told now. What is out is confirmed by the station. */
+static void refuse_raw(dpm_master *m)
+{
+    const dpm_confirm refused = {.status = DPM_CONF_DS, .tsdr = -1};
+    while (m->raw && dpm_station_state(&m->station) == DPM_FDL_OFFLINE)
+        finish_raw(m, &refused);
+}
+
 int dpm_master_request(dpm_master *master, dpm_raw *raw)
 {
-    if (master->raw || master->raw_out)
-        return DPM_E_BUSY;
+    dpm_raw **last = &master->raw;
     if (master->mode == DPM_MODE_OFFLINE)
         return DPM_E_MODE;
+    while (*last)
+        last = &(*last)->next;
     raw->done = false;
-    master->raw = raw;
+    raw->next = NULL;
+    *last = raw;
     master->station.users_wake = 0;
+    refuse_raw(master);
     return DPM_OK;
 }
 
 void dpm_master_cancel(dpm_master *master, dpm_raw *raw)
 {
-    if (master->raw == raw)
-        master->raw = NULL;
+    dpm_raw **at = &master->raw;
+    while (*at && *at != raw)
+        at = &(*at)->next;
+    if (!*at)
+        return;
+    master->raw_cancelled |= master->raw_out && raw == master->raw;
+    *at = raw->next;
 }
 
 /* --- modes ------------------------------------------------------------------------------------------------------- */
@@ -445,6 +467,7 @@ static void master_ask(dpm_machine *machine, int64_t now, dpm_offer *offer)
     judge_watchdog(m, now);
     m->station_ask(machine, now, offer);
     offer->wake = min_of(offer->wake, watchdog_at(m));
+    refuse_raw(m);
 }
 
 /* --- set-up ------------------------------------------------------------------------------------------------------- */

@@ -65,8 +65,9 @@ struct dpm_master {
 
     dpm_slave *current;   /* whose request is under way */
     uint8_t pdu[DPM_IO_MAX];
-    dpm_raw *raw;
-    bool raw_out;         /* the station has it */
+    dpm_raw *raw;         /* queue: the first is next, or out */
+    bool raw_out;         /* the station has one */
+    bool raw_cancelled;   /* and nobody waits for it any more */
 
     int64_t *record;
     size_t record_size, recorded;

@@ -11,6 +11,7 @@
 #include "dpmaster/error.h"
 
 #define FC_CODE(fc) ((fc) & 0x0F)
+#define TURNS_FOR_ONE 8 /* of the first user, when it leaves no time to the others */
 
 void dpm_station_event(dpm_station *station, const dpm_event *event)
 {
@@ -75,6 +76,15 @@ static int64_t silence_ends(const dpm_station *st)
     return st->last_activity + st->tto + st->config.traits.allowance + st->config.traits.delivery;
 }
 
+/* When silence allows to claim the token. A sole master that has heard another does not know its Tsl, nor what silence is
+ * nothing new in its ring: as many slots of hosts like ours as Tto has at the least, and four times the longest heard there. */
+static int64_t claim_at(const dpm_station *st)
+{
+    if (st->config.role != DPM_ROLE_SOLE || st->foreign < 0)
+        return silence_ends(st);
+    return max_of(silence_ends(st), st->last_activity + max_of(6 * st->late_slot, 4 * st->foreign_gap));
+}
+
 /* The latest moment at which our right to talk still stands. In the ring the predecessor sends its token again when we
  * do not begin within its slot; later, and whenever we are alone, others may take the token for lost after Tto. */
 static int64_t right_ends(const dpm_station *st)
@@ -82,7 +92,7 @@ static int64_t right_ends(const dpm_station *st)
     /* A port's late word of silence, and of what came last before it, is not our own silence. */
     const int64_t late = 2 * st->config.traits.granularity;
     if (st->state == DPM_FDL_CLAIM_TOKEN) /* then the next higher address claims */
-        return silence_ends(st) + 2 * st->tsl + st->config.traits.allowance + late;
+        return claim_at(st) + 2 * st->tsl + st->config.traits.allowance + late;
     if (dpm_token_alone(st))
         return silence_ends(st) + late;
     return st->spoke ? st->last_activity + 6 * st->tsl : st->speak_until;
@@ -113,6 +123,7 @@ static void finish_unanswered(dpm_station *st, int64_t now, uint8_t status)
     if (status == DPM_CONF_NA) {
         st->statistics.unanswered++;
         st->given_up = st->da;
+        st->late_sc = st->sc_fits;
         dpm_token_live(st, st->da, DPM_LIVE_NONE, now);
     } else {
         st->statistics.abandoned += st->tries > 0;
@@ -170,8 +181,10 @@ void dpm_station_drop_token(dpm_station *st, uint8_t state, int64_t now, bool lo
 static void give_way(dpm_station *st, uint8_t address, int64_t now)
 {
     const bool lost = st->state != DPM_FDL_LISTEN_TOKEN;
-    if (lost)
+    if (lost) {
         put_event(st, now, DPM_EV_FOREIGN, address, 0, 0);
+        st->foreign_gap = 0;
+    }
     dpm_station_drop_token(st, DPM_FDL_LISTEN_TOKEN, now, lost);
 }
 
@@ -238,11 +251,15 @@ static bool awaits_answer(const dpm_station *st)
     return st->state == DPM_FDL_AWAIT_DATA_RESPONSE && st->tx_kind == DPM_TX_NONE;
 }
 
-/* Whether a response or SC belongs to the exchange under way; else it belongs to nobody: late, doubled, foreign. */
+/* Whether a response or SC belongs to the exchange under way; else it belongs to nobody: late, doubled, foreign. SC has no
+ * address: behind a request to another station that was given up, it may be that one's, so it is not believed before it has
+ * come for the repetition, too. */
 static bool is_answer(const dpm_station *st, const dpm_received *rx)
 {
     const dpm_telegram *t = &rx->telegram;
     if (!awaits_answer(st) || rx->end_latest <= st->tx_end_earliest)
+        return false;
+    if (t->format == DPM_SC && st->given_up >= 0 && st->given_up != st->da && st->late_sc && st->tries <= st->retries)
         return false;
     if (t->format == DPM_SC)
         return counts_frames(st->function);
@@ -282,6 +299,33 @@ static void receive(dpm_station *st, const dpm_received *rx)
     }
 }
 
+/* --- our own transmission heard back ----------------------------------------------------------------------------- */
+
+static void echo_is_over(dpm_station *st, bool right, int64_t now)
+{
+    const uint8_t kind = st->echo_kind;
+    st->echo_kind = DPM_TX_NONE;
+    if (kind == DPM_TX_TOKEN)
+        dpm_token_echoed(st, right, now);
+}
+
+static void hear_echo(dpm_station *st, const dpm_span *span, int64_t end)
+{
+    st->echoes = true;
+    if (st->echo_kind == DPM_TX_NONE)
+        return;
+    for (size_t i = 0; i < span->n; i++, st->echo_n++)
+        st->echo_spoilt |= st->echo_n >= st->tx_n || span->octets[i] != st->tx[st->echo_n] || (span->errors && span->errors[i]);
+    if (st->echo_n >= st->tx_n)
+        echo_is_over(st, !st->echo_spoilt, end);
+}
+
+/* While it may still come nothing else is sent: the standard's station hears its frame while it sends it. */
+static int64_t echo_due(const dpm_station *st)
+{
+    return st->tx_end_latest + st->config.traits.allowance + st->config.traits.delivery;
+}
+
 /* --- the machine's inputs --------------------------------------------------------------------------------------- */
 
 static void station_octets(dpm_machine *machine, const dpm_span *given)
@@ -292,14 +336,19 @@ static void station_octets(dpm_machine *machine, const dpm_span *given)
     if (span.n == 0 || st->state == DPM_FDL_OFFLINE)
         return;
     const int64_t end = span.latest + (int64_t)(span.n - 1) * span.spacing;
-    bus_busy(st, end, st->tid1);
-    if (span.echo)
+    if (span.echo) { /* when ours ended is known better */
+        hear_echo(st, &span, end);
         return;
+    }
+    if (st->foreign >= 0 && st->state == DPM_FDL_LISTEN_TOKEN)
+        st->foreign_gap = max_of(st->foreign_gap, span.latest - st->last_activity);
+    bus_busy(st, end, st->tid1);
     st->heard = end;
     if (st->tx_kind == DPM_TX_REPLY)
         st->tx_kind = DPM_TX_NONE; /* the bus went on without it */
     if (st->state == DPM_FDL_CHECK_TOKEN_PASS) { /* activity: the successor has it */
-        st->passes = 0;
+        st->passes = st->spoilt = 0;
+        st->echo_kind = DPM_TX_NONE;
         st->state = DPM_FDL_ACTIVE_IDLE;
     }
     while (dpm_receiver_take(&st->receiver, &span, &rx))
@@ -339,13 +388,15 @@ static void station_quiet(dpm_machine *machine, int64_t until)
     dpm_received rx;
     while (dpm_receiver_quiet(&st->receiver, until, &rx))
         receive(st, &rx);
+    if (st->echo_kind != DPM_TX_NONE && until >= echo_due(st))
+        echo_is_over(st, false, until);
     if (st->tx_kind != DPM_TX_NONE)
         return;
     switch (st->state) {
     case DPM_FDL_LISTEN_TOKEN:
     case DPM_FDL_ACTIVE_IDLE:
         /* EN 50170 part 4: after Tto of silence the station with the lowest address claims the token. */
-        if (st->last_activity >= 0 && until >= silence_ends(st))
+        if (st->last_activity >= 0 && until >= claim_at(st))
             dpm_token_claim(st, until);
         break;
     case DPM_FDL_AWAIT_DATA_RESPONSE:
@@ -365,6 +416,8 @@ static void station_quiet(dpm_machine *machine, int64_t until)
 void dpm_station_begin_turn(dpm_station *st, int64_t now)
 {
     st->worked = false;
+    st->served = 0;
+    st->passed_over = (uint8_t)(st->passed_over + (st->passed_over <= TURNS_FOR_ONE));
     st->users_wake = 0;
     dpm_station_enter(st, DPM_FDL_USE_TOKEN, now);
     for (unsigned i = 0; i < st->n_users; i++)
@@ -404,6 +457,9 @@ static void station_sent(dpm_machine *machine, int64_t start, int64_t end_earlie
     dpm_receiver_flush(&st->receiver);
     bus_busy(st, end_latest, st->tid1);
     st->statistics.send_failed += result != DPM_SENT_WHOLE;
+    st->echo_kind = st->echoes && result == DPM_SENT_WHOLE ? kind : DPM_TX_NONE;
+    st->echo_n = 0;
+    st->echo_spoilt = false;
     if (kind == DPM_TX_REQUEST)
         request_sent(st); /* one that did not leave whole is repeated when its slot runs out */
     else if (kind == DPM_TX_STATUS)
@@ -457,6 +513,7 @@ static void take_request(dpm_station *st, dpm_fdl_user *user, const dpm_request 
     st->function = r->function;
     st->dsap = r->dsap;
     st->ssap = r->ssap;
+    st->sc_fits = counts_frames(r->function) && (r->length > 0 || r->dsap < 0); /* Slave_Diag and Get_Cfg want data */
     st->tries = 0;
     st->withdrawn = false;
     st->retries = repeatable ? r->retries : 0;
@@ -471,13 +528,21 @@ static void take_request(dpm_station *st, dpm_fdl_user *user, const dpm_request 
 }
 
 /* Ask the users by priority for a request; without one, when they may have one. Past the token hold time only the first
- * user is asked: its messages are those of high priority. */
+ * user is asked: its messages are those of high priority. The others have one message in each turn, so that none of them
+ * starves the first, or the next; and where the first one's use up all time of every turn, they begin one now and then. */
 static int64_t ask_users(dpm_station *st, int64_t now, bool high_only)
 {
     int64_t wake = DPM_NEVER;
-    for (unsigned i = 0; i < st->n_users && !(high_only && i > 0); i++) {
+    const unsigned first = st->passed_over > TURNS_FOR_ONE && st->n_users > 1;
+    for (unsigned k = 0; k < st->n_users; k++) {
+        const unsigned i = high_only ? k : (first + k) % st->n_users;
+        if (i > 0 && (high_only || st->served & 1u << i))
+            continue;
+        if (i > 0)
+            st->passed_over = 0;
         dpm_request request = {.dsap = DPM_NO_SAP, .ssap = DPM_NO_SAP};
         if (st->users[i].next(st->users[i].context, now, &request, &wake)) {
+            st->served |= (uint8_t)(1u << i);
             take_request(st, &st->users[i], &request);
             return now;
         }
@@ -498,11 +563,15 @@ static void use_token_in_ring(dpm_station *st, int64_t now)
 }
 
 /* Alone: work of the users, else the token to oneself. With more to do the next turn begins without a telegram, ten slot
- * times long at most (within any Ttr); with nothing to do the token still goes round before the bus has been silent for
+ * times long at most, and within Ttr; with nothing to do the token still goes round before the bus has been silent for
  * two thirds of the shortest Tto, so that no other master takes it for lost. Returns when to look again. */
 static int64_t use_token_alone(dpm_station *st, int64_t now)
 {
     const int64_t idle_end = st->last_activity + st->idle;
+    if (now >= st->hold_until) {
+        use_token_in_ring(st, now);
+        return now;
+    }
     st->users_wake = ask_users(st, now, false);
     if (st->state == DPM_FDL_USE_TOKEN && st->tx_kind == DPM_TX_NONE && st->worked && st->users_wake <= now &&
         now < st->token_at + st->turn) {
@@ -539,7 +608,7 @@ static int64_t silence_at(const dpm_station *st)
             return min_of(unfinished, min_of(silence_ends(st), st->looked + st->tsl / 4));
         return min_of(unfinished, silence_ends(st));
     case DPM_FDL_LISTEN_TOKEN:
-        return min_of(unfinished, silence_ends(st));
+        return min_of(unfinished, claim_at(st));
     case DPM_FDL_AWAIT_DATA_RESPONSE:
     case DPM_FDL_AWAIT_STATUS_RESPONSE:
     case DPM_FDL_CHECK_TOKEN_PASS:
@@ -589,6 +658,10 @@ static void station_ask(dpm_machine *machine, int64_t now, dpm_offer *offer)
     st->looked = now;
     drop_stale_token(st, now);
     drop_late_reply(st, now);
+    if (st->echo_kind != DPM_TX_NONE) {
+        offer->wake = min_of(echo_due(st), silence_at(st));
+        return;
+    }
     if (st->tx_kind == DPM_TX_NONE && st->state == DPM_FDL_USE_TOKEN)
         offer->wake = use_token(st, now);
     if (st->tx_kind == DPM_TX_NONE && (st->state == DPM_FDL_CLAIM_TOKEN || st->state == DPM_FDL_PASS_TOKEN))
@@ -611,6 +684,18 @@ static void station_ask(dpm_machine *machine, int64_t now, dpm_offer *offer)
 
 size_t dpm_station_size(void) { return sizeof(dpm_station); }
 
+/* Alone and with nothing to do: less than 6 Tsl, Tto of address 0 and the shortest. A Tsl longer than the rate's own is for
+ * hosts that wake late; beside us may be one on such a port whose Tsl is not, and that waits for as long as its host may be
+ * late. Not the same for two stations, since two that each believe to be alone could otherwise talk over each other in step
+ * for ever. */
+static int64_t idle_time(const dpm_station *st, const dpm_parameters *p, uint8_t address)
+{
+    dpm_parameters usual;
+    const bool known = dpm_parameters_default(&usual, p->rate_num / p->rate_den, 0) == DPM_OK;
+    const int64_t own = 4 * st->tsl + st->tsl * address / 84, tsl = known ? dpm_bits_up(p, usual.tsl) : st->tsl;
+    return min_of(own, 4 * tsl + tsl * address / 84 + st->config.traits.allowance / 2);
+}
+
 static void derive_times(dpm_station *st, const dpm_parameters *p, uint8_t address)
 {
     st->tsl = dpm_bits_up(p, p->tsl);
@@ -621,9 +706,8 @@ static void derive_times(dpm_station *st, const dpm_parameters *p, uint8_t addre
     st->tsyni = dpm_bits_up(p, 2 * (2 * (DPM_TSYN + DPM_TELEGRAM_MAX * DPM_CHARACTER_BITS)) + DPM_TSYN);
     st->min_tsdr = dpm_bits_up(p, p->min_tsdr);
     st->max_tsdr = dpm_bits_down(p, p->max_tsdr);
-    /* Less than 6 Tsl, Tto of address 0 and the shortest; not the same for two stations, since two that each believe
-     * to be alone could otherwise talk over each other in step for ever. */
-    st->idle = 4 * st->tsl + st->tsl * address / 84;
+    st->late_slot = dpm_bits_up(p, dpm_ring_tsl(p, st->config.traits.allowance + st->config.traits.delivery));
+    st->idle = idle_time(st, p, address);
     st->turn = 10 * st->tsl;
 }
 
@@ -637,7 +721,7 @@ int dpm_station_init(void *block, size_t size, const dpm_station_config *config,
         return DPM_E_ADDRESS;
     if (dpm_parameters_check(p, config->address, &refusal) < 0)
         return DPM_E_PARAMETER;
-    if (config->role == DPM_ROLE_RING && dpm_ring_tsl(p, config->traits.allowance) > p->tsl)
+    if (config->role == DPM_ROLE_RING && dpm_ring_tsl(p, config->traits.allowance + config->traits.delivery) > p->tsl)
         return DPM_E_SLOT;
     dpm_station *st = block;
     memset(st, 0, sizeof *st);
@@ -693,6 +777,9 @@ void dpm_station_online(dpm_station *station, bool online, int64_t now)
     dpm_station_drop_token(station, DPM_FDL_OFFLINE, now, false);
     dpm_receiver_flush(&station->receiver);
     station->last_activity = -1; /* Tto counts from the first look at the bus */
+    station->echoes = station->config.traits.echo; /* of another port, perhaps */
+    station->echo_kind = DPM_TX_NONE;
+    station->spoilt = 0;
     station->not_before = 0;
     if (online && station->config.role == DPM_ROLE_PASSIVE)
         dpm_station_enter(station, DPM_FDL_PASSIVE_IDLE, now);

@@ -27,10 +27,13 @@ struct dpm_station {
     dpm_receiver receiver;
     /* the bus parameters in ns: minima rounded up, maxima down */
     int64_t tsl, tid1, tid2, tto, tsyn, tsyni, min_tsdr, max_tsdr, idle, turn;
+    int64_t late_slot;     /* the slot time that a ring of hosts like ours would need */
 
     uint8_t state;         /* enum dpm_fdl_state */
     uint8_t claims;        /* tokens still to send in Claim_Token */
     bool worked;           /* something was sent since the token came */
+    uint8_t served;        /* users that had their message in this turn, a bit each */
+    uint8_t passed_over;   /* turns that the first user had for itself, in a row */
     int64_t token_at;      /* the token came */
     int64_t hold_until;    /* token hold time: Ttr - Trr after that */
     int64_t speak_until;   /* the first telegram of a turn: behind this the predecessor takes us for gone */
@@ -46,6 +49,13 @@ struct dpm_station {
     int64_t tx_not_before, tx_not_after;
     int64_t tx_start, tx_end_earliest, tx_end_latest;
 
+    /* our own transmission heard back */
+    bool echoes;           /* this port hears what it sends */
+    bool echo_spoilt;      /* heard otherwise than sent */
+    uint8_t echo_kind;     /* enum dpm_tx_kind of what is to come back; NONE: nothing, or it has */
+    uint16_t echo_n;       /* octets of it heard */
+    uint8_t spoilt;        /* own tokens that came back wrong or not at all, in a row */
+
     /* the one exchange under way: Await_Data_Response, or its request still in tx */
     dpm_fdl_user *user;    /* whose it is; NULL: none */
     uint8_t da, function, tries, retries;
@@ -53,10 +63,13 @@ struct dpm_station {
     bool withdrawn;        /* not to be sent any more; an answer to what was sent is still good */
     int64_t deadline;      /* slot time over, allowance included */
     int16_t given_up;      /* whose request was given up last, until an answer comes; -1 none */
+    bool late_sc;          /* and SC would have answered it: the next one may be its */
+    bool sc_fits;          /* SC may answer the request under way */
     int16_t suspect;       /* sender of what looked like a token in the slot, -1 none */
     int64_t heard;         /* latest octet since the request went out, -1 none */
 
     int16_t foreign;       /* the foreign master heard last, -1 none */
+    int64_t foreign_gap;   /* the longest silence heard between its telegrams while we listened */
 
     uint8_t fcb[128];      /* enum dpm_fcb, by address */
 
@@ -107,6 +120,8 @@ void dpm_token_poll_sent(dpm_station *station);
 /* Await_Status_Response, Check_Token_Pass: an answer, or the end of the slot. */
 void dpm_token_poll_answered(dpm_station *station, uint8_t address, uint8_t fc, int64_t now);
 void dpm_token_slot_over(dpm_station *station, int64_t now);
+/* Our own token was heard back (`right`), spoilt, or not at all. */
+void dpm_token_echoed(dpm_station *station, bool right, int64_t now);
 /* Listen from the beginning: nothing is known about the ring. */
 void dpm_token_listen(dpm_station *station, int64_t now);
 

@@ -263,8 +263,8 @@ void dpm_token_claim(dpm_station *station, int64_t now)
 
 static void own_turn(dpm_station *st, int64_t now)
 {
+    st->hold_until = max_of(now, st->token_at + dpm_bits_down(&st->config.parameters, st->config.parameters.ttr));
     st->token_at = now;
-    st->hold_until = now + dpm_bits_down(&st->config.parameters, st->config.parameters.ttr);
     st->spoke = true;
     st->gap_polled = false;
     dpm_station_begin_turn(st, now);
@@ -275,6 +275,7 @@ void dpm_token_sent(dpm_station *station, int64_t now)
     if (station->state == DPM_FDL_CLAIM_TOKEN) {
         if (--station->claims == 0)
             own_turn(station, now);
+        station->token_at = now;
         return;
     }
     if (dpm_token_alone(station)) {
@@ -288,6 +289,24 @@ void dpm_token_sent(dpm_station *station, int64_t now)
     station->heard = -1;
     station->deadline = station->tx_end_latest + station->tsl;
     dpm_station_enter(station, DPM_FDL_CHECK_TOKEN_PASS, now);
+}
+
+/* "Listens to its own frame": once may be the line's fault, and the pass is repeated if the successor was silent, too. Twice
+ * in a row is the transceiver's: who heard something leaves the ring and listens, who heard nothing is deaf as well and would
+ * claim a token that others have, so it leaves the bus. */
+void dpm_token_echoed(dpm_station *station, bool right, int64_t now)
+{
+    const bool deaf = station->echo_n == 0;
+    station->statistics.tokens_spoilt += !right;
+    station->spoilt = right ? 0 : (uint8_t)(station->spoilt + 1);
+    if (station->spoilt < 2)
+        return;
+    station->spoilt = 0;
+    const dpm_event event = {.time = now, .kind = DPM_EV_ECHO, .address = -1, .a = deaf};
+    dpm_station_event(station, &event);
+    dpm_station_drop_token(station, deaf ? DPM_FDL_OFFLINE : DPM_FDL_LISTEN_TOKEN, now, true);
+    if (!deaf)
+        dpm_token_listen(station, now);
 }
 
 /* --- GAP ------------------------------------------------------------------------------------------------------------ */
@@ -386,12 +405,12 @@ void dpm_token_slot_over(dpm_station *station, int64_t now)
 
 void dpm_station_get_ring(const dpm_station *station, dpm_ring_view *view) { *view = station->ring; }
 
-uint32_t dpm_ring_tsl(const dpm_parameters *parameters, int64_t allowance)
+uint32_t dpm_ring_tsl(const dpm_parameters *parameters, int64_t late)
 {
     uint32_t bits = (uint32_t)parameters->max_tsdr + 15;
-    const int64_t need = dpm_bits_up(parameters, bits) + allowance;
-    /* ns to Tbit, rounded up: allowance * rate / 1e9 */
-    const uint64_t more = (uint64_t)allowance * parameters->rate_num / ((uint64_t)parameters->rate_den * 1000000000u);
+    const int64_t need = dpm_bits_up(parameters, bits) + late;
+    /* ns to Tbit, rounded up: late * rate / 1e9 */
+    const uint64_t more = (uint64_t)late * parameters->rate_num / ((uint64_t)parameters->rate_den * 1000000000u);
     bits += (uint32_t)more;
     while (dpm_bits_up(parameters, bits) < need)
         bits++;

@@ -38,16 +38,19 @@ enum {
 /* What the host may be late, by the kind of port. These are starting values for an idle desktop or a Raspberry Pi; a
  * program that has measured its own gives dpm_port_config.allowance. */
 static const dpm_port_traits profiles[] = {
-    [DPM_PROFILE_UART] = {INT64_C(2000000), INT64_C(2000000), 0},   /* receive FIFO time-out, flip buffer, wake-up */
-    [DPM_PROFILE_USB] = {INT64_C(20000000), INT64_C(18000000), 0}, /* 16 ms latency timer, 1 ms frames each way */
-    [DPM_PROFILE_PTY] = {INT64_C(25000000), INT64_C(5000000), 0},   /* wake-up of two processes under load */
+    [DPM_PROFILE_UART] = {INT64_C(2000000), INT64_C(2000000), 0, false},   /* receive FIFO time-out, flip buffer, wake-up */
+    [DPM_PROFILE_USB] = {INT64_C(20000000), INT64_C(18000000), 0, false}, /* 16 ms latency timer, 1 ms frames each way */
+    [DPM_PROFILE_PTY] = {INT64_C(25000000), INT64_C(5000000), 0, false},   /* wake-up of two processes under load */
 };
 
 /* Our last transmission, while its echo may come. */
 typedef struct echo_filter {
     uint8_t octets[ECHO_MAX];
     size_t length;         /* 0: none is looked for */
-    size_t matched;        /* octets heard that equal ours; held back until the verdict */
+    size_t held;           /* octets heard that may be it; held back until the verdict */
+    size_t equal;          /* how many of them are as they were sent */
+    uint8_t heard[ECHO_MAX];
+    uint8_t errors[ECHO_MAX];
     bool expected;         /* told so, or found */
     int64_t due;           /* what is not here by now does not come */
     int64_t earliest;      /* of the octets held */
@@ -181,6 +184,16 @@ int dpm_profile_traits(int profile, dpm_port_traits *traits)
     return DPM_OK;
 }
 
+static int64_t character_time(uint32_t rate_num, uint32_t rate_den)
+{
+    return (INT64_C(11000000000) * rate_den + rate_num - 1) / rate_num;
+}
+
+int64_t dpm_pty_delivery(uint32_t rate_num, uint32_t rate_den)
+{
+    return DPM_TELEGRAM_MAX * character_time(rate_num, rate_den);
+}
+
 /* What follows from the kind of port. */
 static void set_kind(dpm_port *port, dev_t device)
 {
@@ -194,10 +207,16 @@ static void set_kind(dpm_port *port, dev_t device)
     port->info.traits = profiles[profile];
     /* A paced hub hands over a telegram when its last octet would have ended, so nothing of an answer is there sooner. */
     if (port->pty && port->config.pace != DPM_PACE_NONE)
-        port->info.traits.delivery = DPM_TELEGRAM_MAX * port->character;
+        port->info.traits.delivery = dpm_pty_delivery(port->config.rate_num, port->config.rate_den);
+    port->info.traits.echo = port->config.echo == DPM_ECHO_ON;
     if (port->config.allowance >= 0)
         port->info.traits.allowance = port->config.allowance;
     port->lag = profile == DPM_PROFILE_PTY ? 0 : port->info.traits.granularity;
+}
+
+static void forget_echo(dpm_port *port)
+{
+    port->echo.length = port->echo.held = port->echo.equal = 0;
 }
 
 static int open_line(dpm_port *port)
@@ -219,7 +238,7 @@ static int open_line(dpm_port *port)
         ask_low_latency(port->fd);
     (void)ioctl(port->fd, TCFLSH, TCIOFLUSH);
     port->marks.seen = 0;
-    port->echo.length = port->echo.matched = 0;
+    forget_echo(port);
     return DPM_OK;
 }
 
@@ -290,7 +309,7 @@ int dpm_port_open(void *block, size_t size, const dpm_port_config *config, dpm_p
     memcpy(port->path, config->path, length + 1);
     port->config = *config;
     port->config.path = port->path;
-    port->character = (INT64_C(11000000000) * config->rate_den + config->rate_num - 1) / config->rate_num;
+    port->character = character_time(config->rate_num, config->rate_den);
     port->echo.expected = config->echo == DPM_ECHO_ON;
     int code = open_path(port);
     if (!code)
@@ -319,45 +338,47 @@ void dpm_port_get_info(const dpm_port *port, dpm_port_info *info)
  * and kernel by then, only the port's granularity bounds: an empty read or a wait before proves nothing closer, since
  * neither tells when in a long silence they came. */
 static void give(dpm_port *port, dpm_machine *machine, const uint8_t *octets, const uint8_t *errors, size_t n,
-                 int64_t earliest, int64_t read)
+                 int64_t earliest, int64_t read, bool echo)
 {
     int64_t latest = read - (int64_t)(n - 1) * port->spacing;
-    dpm_span span = {octets, errors, n, earliest < latest ? earliest : latest, latest, port->spacing, false};
+    dpm_span span = {octets, errors, n, earliest < latest ? earliest : latest, latest, port->spacing, echo};
     machine->octets(machine, &span);
 }
 
-/* What was held back is no echo: it is somebody's telegram. */
+/* The verdict on what was held back: our echo, spoilt or not, if most of it is as it was sent; else it is somebody's
+ * telegram. Where an echo was due, anything but a whole one is a collision or a short. */
 static void release(dpm_port *port, dpm_machine *machine)
 {
     echo_filter *echo = &port->echo;
-    size_t held = echo->matched;
-    if (echo->length && echo->expected)
-        port->info.echo_errors++;
-    echo->length = echo->matched = 0;
+    const size_t held = echo->held, equal = echo->equal, length = echo->length;
+    const bool ours = equal == length || (echo->expected && 2 * equal > length);
+    port->info.echo_octets += ours ? equal : 0;
+    port->info.echo_errors += echo->expected && equal < length;
+    echo->expected |= ours;
+    forget_echo(port);
     if (held)
-        give(port, machine, echo->octets, NULL, held, echo->earliest, echo->latest);
+        give(port, machine, echo->heard, echo->errors, held, echo->earliest, echo->latest, ours);
 }
 
-/* Take the echo of our last transmission from the front of `n` octets; returns how many of them were taken. */
+/* Take from the front of `n` octets what may be the echo of our last transmission; returns how many were taken. An octet
+ * that differs ends it, unless the echo is known to come and has begun. */
 static size_t take_echo(dpm_port *port, dpm_machine *machine, size_t n, int64_t earliest, int64_t read)
 {
     echo_filter *echo = &port->echo;
     size_t i = 0;
-    while (i < n && echo->matched < echo->length && port->octets[i] == echo->octets[echo->matched] &&
-           !port->errors[i]) {
-        if (!echo->matched)
+    for (; i < n && echo->held < echo->length; i++, echo->held++) {
+        const bool equal = port->octets[i] == echo->octets[echo->held] && !port->errors[i];
+        if (!equal && !(echo->expected && echo->held))
+            break;
+        if (!echo->held)
             echo->earliest = earliest;
         echo->latest = read - (int64_t)(n - 1 - i) * port->spacing;
-        echo->matched++;
-        i++;
+        echo->equal += equal;
+        echo->heard[echo->held] = port->octets[i];
+        echo->errors[echo->held] = port->errors[i];
     }
-    if (echo->length && echo->matched == echo->length) {
-        port->info.echo_octets += echo->length;
-        echo->expected = true;
-        echo->length = echo->matched = 0;
-    } else if (i < n) {
+    if (echo->held == echo->length || i < n)
         release(port, machine);
-    }
     return i;
 }
 
@@ -382,13 +403,13 @@ static void take_octets(dpm_port *port, dpm_machine *machine, size_t n)
     int64_t earliest = read - (int64_t)(n - 1) * port->spacing - port->info.traits.granularity;
     size_t taken = port->echo.length ? take_echo(port, machine, n, earliest, read) : 0;
     if (taken < n)
-        give(port, machine, port->octets + taken, errors ? errors + taken : NULL, n - taken, earliest, read);
+        give(port, machine, port->octets + taken, errors ? errors + taken : NULL, n - taken, earliest, read, false);
 }
 
 /* Nothing is unread. While an echo is half here its octets are held, and nothing is said about the line. */
 static void report_quiet(dpm_port *port, dpm_machine *machine, int64_t before)
 {
-    if (port->echo.matched) {
+    if (port->echo.held) {
         if (before < port->echo.due)
             return;
         release(port, machine);
@@ -422,7 +443,6 @@ static void expect_echo(dpm_port *port, const uint8_t *octets, size_t n, int64_t
         return;
     memcpy(echo->octets, octets, n);
     echo->length = n;
-    echo->matched = 0;
     echo->due = end + port->info.traits.allowance;
 }
 
@@ -430,7 +450,7 @@ int dpm_port_write(dpm_port *port, dpm_machine *machine, const uint8_t *octets, 
 {
     if (n == 0 || n > ECHO_MAX)
         return DPM_E_LENGTH;
-    const bool held = port->echo.matched > 0;
+    const bool held = port->echo.held > 0;
     if (port->echo.length)
         release(port, machine);
     if (held)

@@ -142,7 +142,8 @@ def _plural(n: int, noun: str) -> str:
 
 def _head(t: Timing) -> str:
     return (f"{rate(float(t.parameters.rate))}, {_plural(t.masters, 'master')}{' in a ring' if t.ring else ''}, "
-            f"{_plural(len(t.slaves), 'slave')}; {t.profile}, host up to {shown(t.allowance)} late")
+            f"{_plural(len(t.slaves), 'slave')}; {t.profile}, host up to {shown(t.allowance)} late"
+            + (f"\na paced pty hands over telegrams when they are whole: up to {shown(t.delivery)} more" if t.delivery else ""))
 
 
 def _parameters(t: Timing) -> Iterator[str]:
@@ -238,6 +239,7 @@ def as_object(t: Timing) -> dict[str, object]:
     p, c = t.parameters, t.cycle
     return {
         "baudrate": float(p.rate), "masters": t.masters, "ring": t.ring, "profile": t.profile, "allowance": t.allowance,
+        "delivery": t.delivery,
         "parameters": {k: v for k, v in asdict(p).items() if k != "rate"},
         "tid1": p.tid1, "tid2": p.tid2, "ttd": t.ttd, "tto": {address: p.tto(address) for address in t.addresses},
         "tsl_needed": t.tsl_needed,

@@ -19,7 +19,8 @@ enum dpm_event_kind {
     DPM_EV_LATE,            /* a telegram was dropped because the host was late: value = ns late */
     DPM_EV_PORT,            /* the port: a = 0 working, or the error code; the bus layer puts this one */
     DPM_EV_DUPLICATE,       /* another station has our address: the bus was left */
-    DPM_EV_LIVE             /* live list: address answers differently: a = new, b = old (enum dpm_live) */
+    DPM_EV_LIVE,            /* live list: address answers differently: a = new, b = old (enum dpm_live) */
+    DPM_EV_ECHO             /* our own token came back wrong twice: the ring was left; a = 1: not at all, and the bus, too */
 };
 
 typedef struct dpm_event {

@@ -36,7 +36,7 @@ typedef struct dpm_span {
     int64_t earliest;
     int64_t latest;
     int64_t spacing;       /* ns per octet; 0 on an unpaced pty */
-    bool echo;             /* our own transmission heard back */
+    bool echo;             /* our own transmission heard back, as it was heard: who has sent it compares */
 } dpm_span;
 
 /* What a machine wants to send now or soon, and when it wants to be asked again at the latest. */
@@ -72,6 +72,7 @@ typedef struct dpm_port_traits {
     int64_t allowance;   /* ns the host, ours or the other one, may wake late: added to every slot time */
     int64_t granularity; /* ns of silence after which an unfinished telegram is given up */
     int64_t delivery;    /* ns from a telegram's first octet until it is handed over, where that is done only when it is whole */
+    bool echo;           /* it is known to hear itself; else the first echo tells */
 } dpm_port_traits;
 
 #endif

@@ -135,7 +135,8 @@ typedef struct dpm_master_config {
 } dpm_master_config;
 
 /* A raw request, made by a program step by step. The memory is the caller's, until `done` or cancelled. */
-typedef struct dpm_raw {
+typedef struct dpm_raw dpm_raw;
+struct dpm_raw {
     uint8_t da;
     uint8_t function;
     int16_t dsap;
@@ -150,7 +151,8 @@ typedef struct dpm_raw {
     uint8_t answer_length;
     uint8_t answer[DPM_DATA_MAX];
     int64_t tsdr;                /* ns, -1 unknown */
-} dpm_raw;
+    dpm_raw *next;               /* the master's, while it is queued */
+};
 
 typedef struct dpm_master dpm_master;
 
@@ -168,6 +170,8 @@ DPM_API int dpm_master_change(dpm_master *master, int index, const dpm_slave_set
 /* Change the mode. Leaving Operate makes all outputs safe; STOP and OFFLINE unlock the slaves first (leaving), for
  * which the machine takes its time: watch status.mode. Going to OPERATE ends a latch. DPM_E_ARGUMENT. */
 DPM_API int dpm_master_set_mode(dpm_master *master, int mode, int64_t now);
+/* Queue a request: each has its turn behind those that were there before, one for each cycle or turn of the token. It is done
+ * at once, with DPM_CONF_DS, when the station leaves the bus or the port is gone. DPM_E_MODE in Offline. */
 DPM_API int dpm_master_request(dpm_master *master, dpm_raw *raw);
 DPM_API void dpm_master_cancel(dpm_master *master, dpm_raw *raw);
 DPM_API void dpm_master_get_status(const dpm_master *master, dpm_master_status *status);

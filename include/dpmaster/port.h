@@ -43,7 +43,7 @@ typedef struct dpm_port_info {
     bool parity;              /* the driver kept even parity (a pty does not) */
     uint64_t octets_in;
     uint64_t octets_out;
-    uint64_t echo_octets;     /* own octets heard back and removed */
+    uint64_t echo_octets;     /* own octets heard back as they were sent */
     uint64_t echo_errors;     /* echo expected, something else heard: a collision or a short */
     uint64_t line_errors;
 } dpm_port_info;
@@ -52,6 +52,8 @@ typedef struct dpm_port dpm_port;
 
 /* What a kind of port is reckoned to need, before one is opened. DPM_E_ARGUMENT for AUTO, which is no kind. */
 DPM_API int dpm_profile_traits(int profile, dpm_port_traits *traits);
+/* ns that the longest telegram takes on a paced pty until it is handed over, which is done when it is whole. */
+DPM_API int64_t dpm_pty_delivery(uint32_t rate_num, uint32_t rate_den);
 
 DPM_API size_t dpm_port_size(void);
 /* 0, or DPM_E_NO_PORT, DPM_E_PERMISSION, DPM_E_IN_USE, DPM_E_NOT_TTY, DPM_E_SETTINGS, DPM_E_SYSTEM, DPM_E_BLOCK. */
@@ -60,7 +62,7 @@ DPM_API void dpm_port_close(dpm_port *port);
 DPM_API int dpm_port_fd(const dpm_port *port);
 DPM_API void dpm_port_get_info(const dpm_port *port, dpm_port_info *info);
 
-/* Read what is there without waiting and give it, echo removed or marked, to `machine`; report quiet when nothing was.
+/* Read what is there without waiting and give it, echo marked, to `machine`; report quiet when nothing was.
  * Returns the octets read, 0 none, DPM_E_GONE. */
 DPM_API int dpm_port_read(dpm_port *port, dpm_machine *machine);
 /* Write one telegram with one write and report sent(). DPM_E_GONE when the port is. */

@@ -30,8 +30,8 @@ enum dpm_fdl_state {
     DPM_FDL_AWAIT_STATUS_RESPONSE
 };
 
-/* How a station takes part. A host that wakes late may only enter a ring whose slot time has room for it:
- * max Tsdr + 15 Tbit + allowance <= Tsl. */
+/* How a station takes part. A host that wakes late, or is handed whole telegrams, may only enter a ring whose slot time has
+ * room for it: max Tsdr + 15 Tbit + allowance + delivery <= Tsl. */
 enum dpm_role {
     DPM_ROLE_SOLE = 0,  /* alone on the bus, else silent; waits Tsl + allowance for answers */
     DPM_ROLE_RING,      /* DPM_E_SLOT at set-up where the slot time has no room */
@@ -118,6 +118,7 @@ typedef struct dpm_fdl_statistics {
     uint64_t send_failed;
     uint64_t tokens_lost;      /* times the token was given up after our own silence */
     uint64_t token_repetitions; /* tokens sent again because the successor was silent */
+    uint64_t tokens_spoilt;    /* own tokens that were not heard back as they were sent, where the port echoes */
     uint64_t gap_polls;
     uint32_t rejected[DPM_REJECT_COUNT]; /* octets thrown away by the receiver; [0] counts good telegrams */
 } dpm_fdl_statistics;
@@ -144,8 +145,9 @@ DPM_API int dpm_station_remove_ring(dpm_station *station, dpm_ring *ring);
 DPM_API void dpm_station_online(dpm_station *station, bool online, int64_t now);
 DPM_API int dpm_station_state(const dpm_station *station);
 DPM_API void dpm_station_get_ring(const dpm_station *station, dpm_ring_view *view);
-/* Slot time in Tbit that a ring needs for a host with this allowance (ns): max Tsdr + 15 + allowance, rounded up. */
-DPM_API uint32_t dpm_ring_tsl(const dpm_parameters *parameters, int64_t allowance);
+/* Slot time in Tbit that a ring needs for a host that is so late (ns; allowance and delivery): max Tsdr + 15 + late, rounded
+ * up. */
+DPM_API uint32_t dpm_ring_tsl(const dpm_parameters *parameters, int64_t late);
 DPM_API void dpm_station_statistics(const dpm_station *station, dpm_fdl_statistics *statistics);
 /* Forget a station's frame count bit: the next request to it is a first contact (FCB = 1, FCV = 0). */
 DPM_API void dpm_station_restart(dpm_station *station, uint8_t address);
