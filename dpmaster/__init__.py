@@ -4,6 +4,7 @@
 This file only names what a program uses; ``dpmaster.drives`` holds a class per drive, ``dpmaster.emulator`` the bench.
 """
 
+from dpmaster.cycles import Cycle, Cycles, Lateness
 from dpmaster.diagnosis import Diagnosis, DiagnosisHistory, DiagnosisRecord
 from dpmaster.errors import (
     ClosedError,
@@ -33,6 +34,8 @@ __all__ = [
     "ClosedError",
     "CommissioningError",
     "ConfigurationError",
+    "Cycle",
+    "Cycles",
     "DPError",
     "DPTimeout",
     "Diagnosis",
@@ -42,6 +45,7 @@ __all__ = [
     "EventKind",
     "Events",
     "Frame",
+    "Lateness",
     "Listener",
     "Live",
     "LiveEntry",

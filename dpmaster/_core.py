@@ -10,13 +10,17 @@ from __future__ import annotations
 
 import mmap
 import os
+import threading
 import time
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from dpmaster import _arguments, errors
 from dpmaster._dpm import ffi as _ffi
 from dpmaster._dpm import lib as _lib
+
+if TYPE_CHECKING:
+    from asyncio import AbstractEventLoop
 
 ffi: Any = _ffi
 lib: Any = _lib
@@ -94,6 +98,54 @@ class Process:
                 "new one here, or start children with the 'spawn' method", dpm_code=lib.DPM_E_FORKED)
 
 
+class GivenUp(BaseException):
+    """Ends a wait whose errand nobody waits for any more. No ``except Exception`` on the way may stop it."""
+
+
+class Errand:
+    """What a thread does on behalf of an event loop, which lives in `thread`. Once it is given up, its waits end."""
+
+    def __init__(self, loop: AbstractEventLoop, thread: int) -> None:
+        self.thread = thread
+        self.given_up = False
+        self._loop = loop
+        self._passed_on = False
+
+    def check(self) -> None:
+        """Raise GivenUp when nobody waits for it any more."""
+        if self.given_up or self._loop.is_closed():
+            raise GivenUp
+
+    def post(self, callback: Callable[[], None]) -> None:
+        """Let the loop run `callback` in its thread. A loop that was closed in the middle has given up what it wanted."""
+        try:
+            self._loop.call_soon_threadsafe(callback)
+        except RuntimeError:
+            self.given_up = True
+
+    def pass_on(self, callback: Callable[[], None]) -> None:
+        """`post`, unless the loop has yet to run the one before."""
+        def run() -> None:
+            self._passed_on = False
+            callback()
+
+        if not self._passed_on:
+            self._passed_on = True
+            self.post(run)
+
+
+class _Here(threading.local):
+    errand: Errand | None = None
+
+
+here = _Here()  # of this thread
+
+
+def caller() -> int:
+    """The thread on whose account this one acts: its own, or that of the event loop it does an errand for."""
+    return here.errand.thread if here.errand else threading.get_ident()
+
+
 def wait_slices(wait: Callable[[int, int], int], progress: Callable[[], int], ready: Callable[[], T | None],
                 timeout: float | None, each: Callable[[], None] | None = None) -> T | None:
     """Wait until `ready` returns something: that, or None when `timeout` (s; None: for ever) has passed.
@@ -102,9 +154,12 @@ def wait_slices(wait: Callable[[int, int], int], progress: Callable[[], int], re
     differs from `seen`. `each` runs before every stay in C, at least every 100 ms. Signal handlers run between stays, so
     Ctrl-C leaves as KeyboardInterrupt. What `wait` refuses (closed, forked) is raised.
     """
+    errand = here.errand
     _arguments.timeout(timeout)
     deadline = None if timeout is None else time.monotonic() + timeout
     while True:
+        if errand is not None:
+            errand.check()
         seen = progress()  # before `ready`: what changes in between ends the wait at once
         result = ready()
         if result is not None:

@@ -285,7 +285,7 @@ class Bus:
     def wait(self, ready: Callable[[], T | None], timeout: float | None) -> T | None:
         """Wait until `ready` returns something: that, or None after `timeout` s. In the thread of the last commit it feeds."""
         self.guard()
-        return _core.wait_slices(self._wait, self._progress, ready, timeout, self._feed_from_wait)
+        return _core.wait_slices(self._wait, self._progress, ready, timeout, self.feed_from_wait)
 
     def _progress(self) -> int:
         self.guard()
@@ -298,11 +298,15 @@ class Bus:
         """Tell the output watchdog that the program lives. A commit, and operate(), name the thread whose waits do so too."""
         if self.master is not None:
             if by in (Feed.COMMIT, Feed.OPERATE):
-                self.fed_thread = threading.get_ident()
+                self.fed_thread = _core.caller()
             lib.dpm_master_feed(self.master, _core.now(), by)
 
-    def _feed_from_wait(self) -> None:
-        if threading.get_ident() == self.fed_thread:
+    def feed_from_wait(self) -> None:
+        """A wait feeds in the thread of the last commit. On an errand the loop's thread does it, if it lives."""
+        errand = _core.here.errand
+        if errand is not None:
+            errand.pass_on(self.feed_from_wait)
+        elif threading.get_ident() == self.fed_thread:
             self.feed(Feed.WAIT)
 
     def subscribe(self, events: Events) -> None:

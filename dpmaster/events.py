@@ -12,7 +12,7 @@ import select
 import threading
 import time
 import weakref
-from collections.abc import Iterator
+from collections.abc import AsyncIterator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -92,6 +92,18 @@ class Event:
                 heard, left = ("not at all", "bus") if self.a else ("otherwise than sent", "ring")
                 return (f"our own token was heard back {heard}, twice: a collision, a short, or the transceiver; "
                         f"the {left} was left")
+
+
+async def _readable(descriptor: int) -> None:
+    import asyncio  # loaded by who uses it
+
+    loop = asyncio.get_running_loop()
+    readable = asyncio.Event()
+    loop.add_reader(descriptor, readable.set)
+    try:
+        await readable.wait()
+    finally:
+        loop.remove_reader(descriptor)
 
 
 class Events:
@@ -190,6 +202,19 @@ class Events:
         while True:
             try:
                 event = self.take()
+            except ClosedError:
+                return
+            if event is not None:
+                yield event
+
+    async def __aiter__(self) -> AsyncIterator[Event]:
+        """The same for ``async for``, in any event loop that can watch a descriptor."""
+        while True:
+            try:
+                event = self.take(0)
+                if event is None:
+                    with self._using():  # what is watched stays open, whoever closes the subscription
+                        await _readable(self._fd)
             except ClosedError:
                 return
             if event is not None:

@@ -17,11 +17,12 @@ import weakref
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from dpmaster import _arguments
+from dpmaster import _arguments, _core
 from dpmaster._core import NS, ffi, lib
 from dpmaster.bus import Bus, FdlState, Feed, Mode, PortStatistics
+from dpmaster.cycles import Cycles, Lateness
 from dpmaster.diagnosis import StationState, why
 from dpmaster.errors import ConfigurationError, DPError, DPTimeout, NotOperatingError, StationError
 from dpmaster.events import Event, EventKind, Events
@@ -32,6 +33,9 @@ from dpmaster.station import Station
 from dpmaster.timing import TSL_MAX, WATCHDOG_MAX, Slave, cycle, default_watchdog, tsl_needed
 
 __all__ = ["Answer", "Master", "MasterStatistics", "Mode", "Service"]
+
+if TYPE_CHECKING:
+    from dpmaster.aio import AsyncMaster
 
 S = TypeVar("S", bound=Station)
 
@@ -93,7 +97,8 @@ class Answer:
 
 @dataclass(frozen=True, slots=True)
 class MasterStatistics:
-    """Counters since the master began, times in s. ``rejected``: octets and telegrams thrown away, by reason."""
+    """Counters since the master began, times in s. ``rejected``: octets and telegrams thrown away, by reason. ``lateness``: of
+    the cycles' starts, None when it runs free."""
 
     cycle: int
     cycle_last: float
@@ -117,6 +122,7 @@ class MasterStatistics:
     gap_polls: int
     rejected: Mapping[str, int]
     port: PortStatistics
+    lateness: Lateness | None
 
 
 _live: weakref.WeakSet[Master] = weakref.WeakSet()
@@ -366,7 +372,7 @@ class Master:
             raise self._missing_error(missing, timeout)
         if self.mode != Mode.OPERATE:  # again while it operates would take the watchdog's last feed for a new start
             self._bus.set_mode(Mode.OPERATE)
-            self._bus.fed_thread = threading.get_ident()
+            self._bus.fed_thread = _core.caller()
         self._await_mode(Mode.OPERATE, LEAVE_TIME)
 
     def clear(self, timeout: float = LEAVE_TIME) -> None:
@@ -479,6 +485,23 @@ class Master:
             raise DPTimeout(f"no bus cycle ended in {timeout} s")
         return int(cycle)
 
+    def cycles(self, timeout: float | None = 1.0) -> Cycles:
+        """The bus cycles as they end: ``for cycle in master.cycles():``. A program too slow for some is told how many.
+
+        The loop ends when the master leaves (stop(), offline()) or is closed, by whomever. In the thread of the last commit it
+        feeds the output watchdog. Raises DPTimeout when no cycle ends for `timeout` s and a cycle time, PortError when the port
+        is the reason, NotOperatingError before operate() or clear().
+        """
+        self._begun()
+        return Cycles(self._bus, self.cycle_time, timeout)
+
+    @property
+    def aio(self) -> AsyncMaster:
+        """The methods that wait, for asyncio: ``await master.aio.operate()``, ``async for cycle in master.aio.cycles()``."""
+        from dpmaster.aio import AsyncMaster  # asyncio is loaded by who uses it
+
+        return AsyncMaster(self)
+
     def _begun(self) -> Any:
         self._bus.guard()
         if self._bus.master is None:
@@ -542,7 +565,8 @@ class Master:
             status.cycle, status.cycle_last / NS, status.cycle_max / NS, FdlState(status.fdl_state),
             None if status.foreign < 0 else status.foreign, fdl.requests, fdl.answers, fdl.repetitions, fdl.unanswered,
             fdl.abandoned, fdl.sdn, fdl.tokens, fdl.late_dropped, fdl.stray, fdl.foreign, fdl.send_failed, fdl.tokens_lost,
-            fdl.token_repetitions, fdl.tokens_spoilt, fdl.gap_polls, rejected, self._bus.statistics())
+            fdl.token_repetitions, fdl.tokens_spoilt, fdl.gap_polls, rejected, self._bus.statistics(),
+            None if self.cycle_time is None else Lateness.of(status.lateness))
 
     # ---- the end
 

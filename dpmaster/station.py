@@ -22,6 +22,7 @@ from dpmaster.diagnosis import Diagnosis, DiagnosisHistory, DiagnosisRecord, Rea
 from dpmaster.errors import ConfigurationError, DPTimeout, NotOperatingError, OutputsDiscarded, StationError
 
 if TYPE_CHECKING:
+    from dpmaster.aio import AsyncStation
     from dpmaster.gsd import GSD
     from dpmaster.gsd.station import GSDStation
     from dpmaster.master import Master
@@ -170,6 +171,13 @@ class Station:
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self.name!r} address {self.address}, ident {self.ident_number:04X}h>"
+
+    @property
+    def aio(self) -> AsyncStation:
+        """The methods that wait, for asyncio: ``await station.aio.wait_sent(number)``."""
+        from dpmaster.aio import AsyncStation  # asyncio is loaded by who uses it
+
+        return AsyncStation(self)
 
     # ---- what Master uses
 

@@ -3,8 +3,19 @@
 
 from __future__ import annotations
 
+import threading
+import time
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+
+import pytest
 from test_dp_master import Bus
+from test_master_pty import CONFIGURATION, IDENT, Echo, until
 from wire import MS, S, lib
+
+from dpmaster import ConfigurationError, Cycle, DPTimeout, Master, Mode, NotOperatingError, PortError, Station
+from dpmaster.bus import Feed
+from dpmaster.emulator import Segment
 
 CYCLE = 10 * MS
 ALLOWANCE = 2 * MS
@@ -103,3 +114,137 @@ def test_a_free_cycle_has_no_lateness() -> None:
     status = bus.master.status
     assert (status.lateness.max, sum(status.lateness.counts), status.lateness.skipped) == (0, 0, 0)
     assert status.cycle_began < status.cycle_ended <= bus.script.now
+
+
+# --- on a segment of ptys ----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def wire() -> Iterator[Segment]:
+    with Segment() as made:
+        made.attach(Echo(5))
+        yield made
+
+
+def operating(wire: Segment, **options: object) -> Master:
+    master = Master(wire.port(), **options)  # type: ignore[arg-type]
+    master.add(Station(5, IDENT, CONFIGURATION, watchdog=5.0))
+    master.operate()
+    return master
+
+
+def take(cycles: Iterator[Cycle], n: int) -> list[Cycle]:
+    return [next(cycles) for _ in range(n)]
+
+
+def test_a_loop_over_cycles_misses_none_unsaid(wire: Segment) -> None:
+    with operating(wire) as master:
+        before = master.statistics.cycle
+        found = take(master.cycles(), 100)
+    assert [b - a for a, b in pairwise([before, *(cycle.number for cycle in found)])] == [cycle.missed + 1 for cycle in found]
+    assert all(cycle.lateness is None and 0 < cycle.duration < 1 for cycle in found)
+    assert all(a.time + a.duration < b.time + 1e-6 for a, b in pairwise(found))
+    assert found[-1].time < time.monotonic()
+
+
+def test_a_slow_program_is_told_how_many_it_missed_and_gets_the_newest(wire: Segment) -> None:
+    with operating(wire) as master:
+        cycles = master.cycles()
+        cycle = next(cycles)
+        until(lambda: master.statistics.cycle >= cycle.number + 5)
+        late = next(cycles)
+        assert late.missed == late.number - cycle.number - 1 >= 4
+
+
+def test_a_fixed_cycle_time_is_kept_and_its_lateness_told(wire: Segment) -> None:
+    """Over 50 cycles nothing adds up: the last begins where the first did, in the raster."""
+    with operating(wire, cycle_time=0.01) as master:
+        found = take(master.cycles(), 50)
+        lateness = master.statistics.lateness
+    assert lateness is not None
+    places = [cycle.time - (cycle.lateness or 0.0) for cycle in found]
+    steps = [(place - places[0]) / 0.01 for place in places]
+    assert all(abs(step - round(step)) < 1e-6 for step in steps)
+    assert round(steps[-1]) >= found[-1].number - found[0].number
+    assert all(0 <= (cycle.lateness or 0.0) <= lateness.max for cycle in found)
+    assert sum(lateness.counts) >= found[-1].number
+    assert lateness.over <= sum(lateness.counts)
+
+
+def test_a_free_master_tells_of_no_lateness(wire: Segment) -> None:
+    with operating(wire) as master:
+        assert master.statistics.lateness is None
+
+
+@pytest.mark.parametrize("end", [Master.stop, Master.offline, Master.close])
+def test_the_loop_ends_when_the_master_leaves(wire: Segment, end: Callable[[Master], None]) -> None:
+    with operating(wire) as master:
+        leaver = threading.Thread(target=end, args=(master,))
+        for cycle in master.cycles():
+            assert cycle.number > 0
+            if not leaver.ident:
+                leaver.start()
+        leaver.join()
+        assert master.closed or master.mode < Mode.CLEAR
+
+
+def test_a_loop_goes_on_in_clear(wire: Segment) -> None:
+    with operating(wire) as master:
+        cycles = master.cycles()
+        next(cycles)
+        master.clear()
+        take(cycles, 3)
+        assert master.mode == Mode.CLEAR
+
+
+def test_what_a_loop_cannot_begin_with(wire: Segment) -> None:
+    with Master(wire.port()) as master:
+        master.add(Station(5, IDENT, CONFIGURATION))
+        with pytest.raises(NotOperatingError, match="operate"):
+            master.cycles()
+        master.stop()
+        with pytest.raises(NotOperatingError, match="Stop"):
+            master.cycles()
+        master.clear()
+        with pytest.raises(ConfigurationError, match="timeout"):
+            master.cycles("1")  # type: ignore[arg-type]
+
+
+def test_a_loop_without_cycles_says_why(wire: Segment, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A cycle time is no lack of cycles; a port that has gone is."""
+    with operating(wire, cycle_time=0.4) as master:
+        cycles = master.cycles(timeout=0.2)
+        take(cycles, 2)
+        with monkeypatch.context() as patch:
+            patch.setattr(master._bus, "wait", lambda ready, timeout: None)
+            with pytest.raises(DPTimeout, match=r"no bus cycle ended in 0\.6"):
+                next(cycles)
+        wire.close()
+        with pytest.raises(PortError):
+            take(cycles, 5)
+
+
+def test_a_loop_that_is_always_late_feeds_the_output_watchdog(wire: Segment) -> None:
+    """It never has to wait, for a cycle has always ended already; it lives all the same."""
+    with operating(wire, output_watchdog=0.3) as master:
+        master.stations[0].update(0, b"\x01")
+        end = time.monotonic() + 0.9
+        for cycle in master.cycles():
+            until(lambda seen=cycle: master.statistics.cycle > seen.number)  # type: ignore[misc]
+            if cycle.time > end:
+                break
+        status = master._status()
+        assert (status.latched, Feed(status.fed_by)) == (False, Feed.WAIT)
+
+
+def test_a_loop_in_another_thread_than_the_last_commits_feeds_nothing(wire: Segment) -> None:
+    with operating(wire, output_watchdog=0.3) as master:
+        committer = threading.Thread(target=master.stations[0].update, args=(0, b"\x01"))
+        committer.start()
+        committer.join()
+        deadline = time.monotonic() + 5
+        for cycle in master.cycles():
+            if master.mode == Mode.CLEAR:
+                break
+            assert cycle.time < deadline, "it did not run out"
+        assert master._status().latched

@@ -13,12 +13,15 @@ import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, MutableMapping
 from dataclasses import fields
-from typing import Any, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 from dpmaster._arguments import number
 from dpmaster.errors import ConfigurationError, DPTimeout, OutputsDiscarded, StationError
 from dpmaster.profiles.yaskawa import WordOrder, get_word
 from dpmaster.station import Frame, Station
+
+if TYPE_CHECKING:
+    from dpmaster.drives.aio import AsyncDrive
 
 log = logging.getLogger(__name__)
 
@@ -348,6 +351,13 @@ class Drive(Station, ABC, Generic[S]):
         order = self._word_order
         keep = (~clear & ~set_ & 0xFFFF).to_bytes(2, order) + bytes(2)
         return self.update(self._offset("command"), set_.to_bytes(2, order) + setpoint.to_bytes(2, order), keep)
+
+    @property
+    def aio(self) -> AsyncDrive[S]:
+        """What of it waits, for asyncio: ``await drive.aio.wait_at_speed(10.0)``."""
+        from dpmaster.drives.aio import AsyncDrive  # asyncio is loaded by who uses it
+
+        return AsyncDrive(self)
 
     # -- Hooks of the master --------------------------------------------------------------------------------------------
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, overload
+from typing import TYPE_CHECKING, Literal, overload
 
 from dpmaster._arguments import number
 from dpmaster.drives.channel import ParameterChannel
@@ -41,6 +41,9 @@ from dpmaster.profiles.yaskawa import (
 )
 from dpmaster.profiles.yaskawa import configuration as find_configuration
 from dpmaster.station import Frame
+
+if TYPE_CHECKING:
+    from dpmaster.drives.aio import AsyncYaskawaV7
 
 MAX_TSDR: Mapping[int, int] = {
     9_600: 60, 19_200: 60, 45_450: 250, 93_750: 60, 187_500: 60, 500_000: 100, 1_500_000: 150, 3_000_000: 250,
@@ -377,6 +380,12 @@ class YaskawaV7(Drive[V7Status]):
     def _no_channel(self, what: str) -> ConfigurationError:
         return ConfigurationError(f"{what}: {self._layout.name} has no parameter channel; "
                                   "Extended Data 1 and 2 have one")
+
+    @property
+    def aio(self) -> AsyncYaskawaV7:
+        from dpmaster.drives.aio import AsyncYaskawaV7  # asyncio is loaded by who uses it
+
+        return AsyncYaskawaV7(self)
 
     # -- Hooks of the master ---------------------------------------------------------------------------------------
 
