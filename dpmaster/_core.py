@@ -13,6 +13,7 @@ import os
 import threading
 import time
 from collections.abc import Callable
+from datetime import datetime, timedelta
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from dpmaster import _arguments, errors
@@ -77,6 +78,12 @@ def block(size: int) -> Any:
 def now() -> int:
     """The library's clock (CLOCK_MONOTONIC), ns."""
     return time.monotonic_ns()
+
+
+def wall_clock() -> Callable[[int], datetime]:
+    """What turns a time of `now` into one that people read, by the wall clock as it stands; for no other use."""
+    here, reference = datetime.now().astimezone(), now()
+    return lambda time: here + timedelta(microseconds=(time - reference) / 1000)
 
 
 class Process:

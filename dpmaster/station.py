@@ -12,7 +12,6 @@ import os
 import threading
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from datetime import datetime, timedelta
 from typing import TYPE_CHECKING, Any, Literal
 
 from dpmaster import _arguments, _core
@@ -400,13 +399,12 @@ class Station:
         """The last 64 diagnoses fetched, with times, oldest first; the same one several times in a row is one record."""
         master = self._owner()
         records = [] if self._index is None else master._bus.history(self._history, DIAGNOSES)
-        here, now = datetime.now().astimezone(), _core.now()
+        wall = _core.wall_clock()
 
         def record(found: Any) -> DiagnosisRecord:
             octets = bytes(ffi.buffer(found.octets, found.length))
-            since, until = (here - timedelta(microseconds=(now - time) / 1000) for time in (found.first, found.time))
             return DiagnosisRecord(Diagnosis(octets, found.number, found.time / NS, self._dpv1), found.count, found.first / NS,
-                                   since, until)
+                                   wall(found.first), wall(found.time))
 
         return DiagnosisHistory(map(record, records))
 

@@ -218,4 +218,5 @@ def test_no_wall_clock_anywhere() -> None:
     assert "CLOCK_MONOTONIC" in clocks and set(clocks) <= {"CLOCK_MONOTONIC", "CLOCK_THREAD_CPUTIME_ID"}
     forbidden = re.compile(r"\b(gettimeofday|time\.time\(|datetime\.now|utcnow)|\btime\(NULL\)")
     sources = [*(ROOT / "csrc").glob("*/*.c"), *(ROOT / "dpmaster").rglob("*.py")]
-    assert [path.name for path in sources if forbidden.search(path.read_text())] == []
+    users = [path.name for path in sources for _ in forbidden.findall(path.read_text())]
+    assert users == ["_core.py"], "wall_clock() alone, which shows times to people"
