@@ -11,6 +11,7 @@ import atexit
 import functools
 import logging
 import math
+import os
 import threading
 import time
 import weakref
@@ -165,16 +166,8 @@ class Master:
                  cycle_time: float | None = None, output_watchdog: float | None = 1.0, echo: bool | None = None,
                  profile: str | None = None, allowance: float | None = None, max_stations: int = 126,
                  ring: bool | None = None, realtime: Realtime | bool | None = None) -> None:
-        _arguments.whole("the master's address", address, 0, lib.DPM_ADDRESS_MAX)
-        _arguments.whole("max_stations", max_stations, 1, 126)
-        if cycle_time is not None:
-            _arguments.seconds("cycle_time", cycle_time, 10.0, ", or None: as fast as the bus allows")
-        if output_watchdog is not None:
-            _arguments.seconds("output_watchdog", output_watchdog, 3600.0, ", or None for no watchdog")
-        if parameters is not None and not isinstance(parameters, BusParameters):
-            raise ConfigurationError(f"parameters {parameters!r}: give BusParameters, or None for the standard set")
-        if ring not in (None, False, True):
-            raise ConfigurationError(f"ring {ring!r}: True, False, or None: if Tsl has room for it")
+        self.check_options(address, max_stations=max_stations, cycle_time=cycle_time, output_watchdog=output_watchdog,
+                           parameters=parameters, ring=ring)
         self.address = address
         self.cycle_time = cycle_time
         self.output_watchdog = output_watchdog
@@ -199,8 +192,48 @@ class Master:
             raise
         _live.add(self)
 
+    @staticmethod
+    def check_options(address: int = 1, *, parameters: BusParameters | None = None, cycle_time: float | None = None,
+                      output_watchdog: float | None = 1.0, max_stations: int = 126, ring: bool | None = None) -> None:
+        """Raise ConfigurationError, naming argument, value and rule, if a Master would not take these; no port is needed."""
+        _arguments.whole("the master's address", address, 0, lib.DPM_ADDRESS_MAX)
+        _arguments.whole("max_stations", max_stations, 1, 126)
+        if cycle_time is not None:
+            _arguments.seconds("cycle_time", cycle_time, 10.0, ", or None: as fast as the bus allows")
+        if output_watchdog is not None:
+            _arguments.seconds("output_watchdog", output_watchdog, 3600.0, ", or None for no watchdog")
+        if parameters is not None and not isinstance(parameters, BusParameters):
+            raise ConfigurationError(f"parameters {parameters!r}: give BusParameters, or None for the standard set")
+        if ring not in (None, False, True):
+            raise ConfigurationError(f"ring {ring!r}: True, False, or None: if Tsl has room for it")
+
+    @classmethod
+    def from_file(cls, path: str | os.PathLike[str], port: str | None = None, **options: Any) -> Master:
+        """The master and stations of a bus file (docs/busfile.md), before the first telegram; ``master["Pump"]`` is a station.
+
+        port and options win over the file's. Raises ConfigurationError with file, line and key of every fault, before the port
+        is opened; PortError.
+        """
+        from dpmaster.busfile import BusFile
+
+        return BusFile.load(path).master(port, **options)
+
+    def __getitem__(self, which: int | str) -> Station:
+        """A station by its address or its name. Raises ConfigurationError that names those there are."""
+        found = [s for s in self.stations if which in (s.address, s.name)]
+        if len(found) != 1:
+            there = ", ".join(f"{s.address} {s.name!r}" for s in self.stations) or "none"
+            raise ConfigurationError(f"{which!r}: {'several stations have' if found else 'no station has'} this name or "
+                                     f"address: there are {there}")
+        return found[0]
+
     def __repr__(self) -> str:
         return f"<Master {self.address} on {self._bus.path}{', closed' if self.closed else ''}>"
+
+    @property
+    def port(self) -> str:
+        """Path of the port."""
+        return self._bus.path
 
     # ---- stations
 

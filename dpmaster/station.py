@@ -19,6 +19,7 @@ from dpmaster._core import NS, ffi, lib
 from dpmaster.bus import Feed, Mode
 from dpmaster.diagnosis import Diagnosis, DiagnosisHistory, DiagnosisRecord, Reason, StationState, judge, why
 from dpmaster.errors import ConfigurationError, DPTimeout, NotOperatingError, OutputsDiscarded, StationError
+from dpmaster.signals import Signals
 
 if TYPE_CHECKING:
     from dpmaster.aio import AsyncStation
@@ -139,6 +140,8 @@ class Station:
         self._image_lock = threading.Lock()
         self._factors = (0, 0)
         self._history: Any = ffi.NULL
+        self.signals = Signals(self)
+        """Values by name: a bus file gives them, or a program, ``station.signals = Signals(station, [...])``."""
 
     @staticmethod
     def from_gsd(gsd: GSD | str | os.PathLike[str], address: int, modules: Iterable[Any] | None = None,

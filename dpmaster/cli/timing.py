@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 from typing import Any
 
+from dpmaster.busfile import BusFile
 from dpmaster.drives import YaskawaV7
 from dpmaster.errors import ConfigurationError
 from dpmaster.station import Station, watchdog_factors
@@ -98,6 +99,7 @@ def milliseconds(text: str) -> float:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = STATION
+    parser.add_argument("--file", metavar="FILE", help="a bus file, in place of the other options")
     parser.add_argument("--baudrate", type=int, default=500_000, metavar="B", help="bit/s (default 500000)")
     parser.add_argument("--station", type=stations, action="extend", default=[], metavar="STATION", help="a slave, see below")
     parser.add_argument("--address", type=addresses, default=(1,), metavar="N[,N]", help="of our master or masters (default 1)")
@@ -253,11 +255,16 @@ def as_object(t: Timing) -> dict[str, object]:
     }
 
 
-def run(args: argparse.Namespace) -> int:
+def described(args: argparse.Namespace) -> Timing:
+    """The bus that the options describe."""
     changes = {field: value for name in CHANGES if (value := getattr(args, field := name.replace("-", "_"))) is not None}
-    found = plan(
+    return plan(
         args.baudrate, args.station, addresses=args.address, masters=args.masters, ring=args.ring, profile=args.profile,
         allowance=args.allowance, repeaters=args.repeaters, repeater_delay=args.repeater_delay, length=args.length,
         cycle_time=args.cycle_time, others=args.others, changes=changes)
+
+
+def run(args: argparse.Namespace) -> int:
+    found = BusFile.load(args.file, works=False).timing if args.file else described(args)
     print(json.dumps(as_object(found)) if args.json else table(found))
     return 0 if found.works else 1

@@ -1,0 +1,319 @@
+# SPDX-License-Identifier: MIT
+"""Bus files: what they make, every fault told with file, line and key before a port is opened, and ``dpmaster run``."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from dpmaster import ConfigurationError, Master, PortError, StationState, cli
+from dpmaster.busfile import BusFile
+from dpmaster.drives import YaskawaV7
+from dpmaster.emulator import Segment
+from dpmaster.emulator.cards import SIP1, GenericSlave
+
+GSD = """\
+#Profibus_DP
+GSD_Revision = 3
+Vendor_Name = "Test"
+Model_Name = "Valve island"
+Ident_Number = 0x4321
+500k_supp = 1
+MaxTsdr_500k = 150
+Freeze_Mode_supp = 1
+Fail_Safe = 1
+Modular_Station = 1
+Max_Module = 4
+Max_Input_Len = 16
+Max_Output_Len = 16
+Max_Data_Len = 32
+User_Prm_Data_Len = 1
+PrmText = 1
+Text(0) = "hold"
+Text(1) = "reset"
+EndPrmText
+ExtUserPrmData = 1 "On failure"
+Bit(0) 0 0-1
+Prm_Text_Ref = 1
+EndExtUserPrmData
+Ext_User_Prm_Data_Const(0) = 0x00
+Ext_User_Prm_Data_Ref(0) = 1
+Module = "8 valves" 0x20
+1
+EndModule
+Module = "2 words in" 0x51
+2
+EndModule
+"""
+
+BUS = """\
+# the pump room
+[bus]
+port = "PORT"
+address = 2
+output_watchdog = "off"
+
+[bus.parameters]
+max_retry_limit = 3
+
+[[station]]
+address = 5
+name = "Pump"
+drive = "v7"
+configuration = "Basic data"
+
+[[station]]
+address = 7
+name = "Valves"
+gsd = "valve.gsd"
+modules = ["8 valves", "2 words in"]
+names = {"Out" = 1, "Level" = 2}
+parameters = {"On failure" = "reset"}
+watchdog = 0.5
+freeze = true
+
+[station.inputs]
+"Tank" = {module = "Level", offset = 2, type = "int16", scale = 0.1, unit = "%"}
+
+[station.outputs]
+"Drain" = {module = "Out", offset = 0, type = "bool", bit = 4}
+
+[[station]]
+address = 9
+ident_number = 0x1234
+configuration = "13 23"
+user_parameters = [1, 2]
+max_tsdr = {500000 = 200}
+"""
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Callable[..., Path]:
+    """Write the bus file, with a change, beside its GSD file."""
+
+    def write(text: str = BUS, old: str = "", new: str = "") -> Path:
+        assert old in text
+        (tmp_path / "valve.gsd").write_text(GSD, encoding="ascii")
+        path = tmp_path / "bus.toml"
+        path.write_text(text.replace(old, new, 1) if old else text, encoding="utf-8")
+        return path
+
+    return write
+
+
+@pytest.fixture
+def wire() -> Iterator[Segment]:
+    """The stations of the file."""
+    with Segment() as segment:
+        segment.attach(SIP1(5))
+        segment.attach(GenericSlave(7, 0x4321, [bytes.fromhex("20 51")], user_parameters=(0, 237), fail_safe=True, freeze=True))
+        segment.attach(GenericSlave(9, 0x1234, [bytes.fromhex("13 23")], user_parameters=(0, 237)))
+        yield segment
+
+
+# ---- what a file makes
+
+
+def test_a_file_makes_stations_and_bus_parameters(write: Callable[..., Path]) -> None:
+    bus = BusFile.load(write())
+    pump, valves, bare = bus.stations
+    assert isinstance(pump, YaskawaV7) and pump.name == "Pump"
+    assert (valves.address, valves.ident_number, valves.configuration) == (7, 0x4321, b"\x20\x51")
+    assert valves.user_parameters == b"\x01" and valves.freeze and valves.fail_safe and valves.watchdog == 0.5
+    assert (bare.name, bare.configuration, bare.user_parameters) == ("station 9", b"\x13\x23", b"\x01\x02")
+    tank, drain = valves.signals.signal("Tank"), valves.signals.signal("Drain")
+    assert (tank.direction, tank.offset, tank.unit) == ("inputs", 2, "%") and (drain.offset, drain.bit) == (0, 4)
+    assert bus.port == "PORT" and bus.options == {"address": 2, "output_watchdog": None}
+    assert bus.timing.parameters.max_retry_limit == 3
+    assert bus.timing.parameters.max_tsdr == 200, "the slowest station's"
+    assert bus.timing.parameters.tsl >= 215, "Tsl >= MaxTsdr + 15"
+
+
+def test_from_file_runs_the_bus(write: Callable[..., Path], wire: Segment) -> None:
+    with Master.from_file(write(), port=wire.port()) as master:
+        master.operate()
+        assert {station.state for station in master.stations} == {StationState.DATA}
+        valves = master["Valves"]
+        assert valves is master[7]
+        assert valves["Level"].place.inputs.length == 4 and valves["Out"].outputs == b"\0"
+        valves.wait_sent(valves.signals.commit({"Drain": True}), 5)
+        assert valves["Out"].outputs == b"\x10"
+        with pytest.raises(ConfigurationError, match="'Pumpe': no station has this name or address: there are 5 'Pump', 7 "):
+            master["Pumpe"]
+
+
+def test_options_of_the_call_win(write: Callable[..., Path], wire: Segment) -> None:
+    with Master.from_file(write(), port=wire.port(), address=3, output_watchdog=2.0) as master:
+        assert (master.address, master.output_watchdog) == (3, 2.0)
+
+
+def test_a_ring_has_room_for_the_hosts_lateness(write: Callable[..., Path]) -> None:
+    bus = BusFile.load(write(BUS, "address = 2\n", "address = 2\nmasters = 2\nallowance = 0.001\n"))
+    assert bus.options["ring"] is True
+    assert bus.timing.parameters.tsl >= 200 + 15 + 500, "max Tsdr + 15 + 1 ms of 500 kbit/s"
+
+
+# ---- faults
+
+FAULTS = [  # what is changed, and the beginning of what is said of it: line and key
+    ('port = "PORT"', 'prt = "PORT"', r":3: bus\.prt: no such key: did you mean port\?"),
+    ("address = 2", "address = 126", r":4: bus\.address: the master's address 126: 0 to 125"),
+    ("address = 2", "address = 2\nbaudrate = 400000", r":5: bus\.baudrate: baudrate 400000: .* 500000"),
+    ('output_watchdog = "off"', "output_watchdog = 0", r":5: bus\.output_watchdog: output_watchdog 0 s: above 0"),
+    ('output_watchdog = "off"', 'echo = "yes"', r":5: bus\.echo: 'yes': true or false"),
+    ('output_watchdog = "off"', "realtime = {priority = 100}", r":5: bus\.realtime: priority 100: 1 to 99"),
+    ("max_retry_limit = 3", "max_retries = 3", r":\d+: bus.*: bus parameter 'max_retries': one of "),
+    ('drive = "v7"', 'drive = "v8"', r":13: station\[1\]\.drive: 'v8': one of v7"),
+    ('drive = "v7"', "", r":10: station\[1\]: a station needs one of gsd, drive and ident_number, and has none"),
+    ('configuration = "Basic data"', 'configuration = "Basic"', r":14: station\[1\]\.configuration: configuration 'Basic'"),
+    ("address = 7", "address = 5", r":17: station\[2\]\.address: 5 is that of station\[1\] already"),
+    ("address = 7", "address = 2", r":4: bus\.address: address 2 is there twice"),
+    ("address = 7", "adress = 7", r":17: station\[2\]\.adress: no such key: did you mean address\?"),
+    ("valve.gsd", "valves.gsd", r":19: station\[2\]\.gsd: .*valves\.gsd.*: No such file"),
+    ('"8 valves", ', '"9 valves", ', r":20: station\[2\]\.modules: .*'9 valves'"),
+    ('"Level" = 2', '"Level" = 3', r":21: station\[2\]\.names: .*'Level' is for slot 3, which has no module"),
+    ('{"On failure" = "reset"}', '{"On failure" = "keep"}', r":22: station\[2\]\.parameters\.On failure: .*hold.*reset"),
+    ("watchdog = 0.5", "watchdog = 700", r":23: station\[2\]\.watchdog: watchdog 700 s"),
+    ("freeze = true", "sync = true", r":24: station\[2\]\.sync: sync=True: .*can not"),
+    ('module = "Level"', 'module = "Livel"', r":27: station\[2\]\.inputs\.Tank\.module: .*no module 'Livel'"),
+    ("offset = 2", "offset = 3", r":27: station\[2\]\.inputs\.Tank: 'Tank': Valves has 4 octets of inputs"),
+    ("scale = 0.1", "scal = 0.1", r":27: station\[2\]\.inputs\.Tank\.scal: no such key: did you mean scale"),
+    ("bit = 4", "bit = 8", r":30: station\[2\]\.outputs\.Drain: bit of 'Drain' 8: 0 to 7"),
+    ("address = 9\n", "", r":32: station\[3\]: it has no address: add address = N"),
+    ('"13 23"', '"13 2G"', r":35: station\[3\]\.configuration: '13 2G': octets in hexadecimal"),
+    ("[1, 2]", "[1, 256]", r":36: station\[3\]\.user_parameters: user_parameters \[1, 256\]"),
+    ("200}", "2000}", r":37: station\[3\]\.max_tsdr: max_tsdr at 500000 bit/s 2000: 37 to 1023"),
+    ("[[station]]\naddress = 9", "[station.x]\naddress = 9", r":32: station\[2\]\.x: no such key"),
+    ("# the pump room", "pumps = 1", r":1: pumps: no such key: known are bus, station"),
+    ("address = 2", "address = ", r":4: Invalid value: this is no TOML"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "said"), FAULTS, ids=lambda text: re.sub(r"\W+", " ", text)[:40])
+def test_a_fault_is_told_with_file_line_and_key(write: Callable[..., Path], old: str, new: str, said: str) -> None:
+    path = write(BUS, old, new)
+    with pytest.raises(ConfigurationError) as raised:
+        Master.from_file(path)  # there is no such port: it was not opened
+    assert re.search(rf"^{re.escape(str(path))}{said}", str(raised.value), flags=re.MULTILINE), raised.value
+
+
+def test_all_faults_are_told_at_once(write: Callable[..., Path]) -> None:
+    text = BUS.replace("address = 2", "adress = 2").replace("watchdog = 0.5", "watchdog = 700").replace("13 23", "XX")
+    with pytest.raises(ConfigurationError) as raised:
+        BusFile.load(write(text))
+    assert [int(line.split(":")[1]) for line in str(raised.value).splitlines()] == [4, 23, 35]
+
+
+def test_lines_are_right_behind_values_of_several_lines(write: Callable[..., Path]) -> None:
+    text = BUS.replace('["8 valves", "2 words in"]', '[\n  "8 valves", # first\n\n  "2 words in",\n]')
+    with pytest.raises(ConfigurationError, match=r":20: station\[2\]\.modules: "):
+        BusFile.load(write(text, "2 words in", "2 words out"))
+    with pytest.raises(ConfigurationError, match=r":26: station\[2\]\.parameters\.On failure: "):
+        BusFile.load(write(text, '"reset"', '"other"'))
+
+
+def test_files_that_are_none(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match=r"none\.toml: No such file or directory: give the path of a bus file"):
+        BusFile.load(tmp_path / "none.toml")
+    (tmp_path / "latin.toml").write_bytes(b'[bus]\nport = "\xe4"\n')
+    with pytest.raises(ConfigurationError, match=r"octet 14 is no UTF-8.*: save it as UTF-8"):
+        BusFile.load(tmp_path / "latin.toml")
+
+
+def test_a_bus_that_cannot_work_is_a_fault(write: Callable[..., Path]) -> None:
+    with pytest.raises(ConfigurationError, match=r":2: bus: .*Tsl"):
+        BusFile.load(write(BUS, "max_retry_limit = 3", "tsl = 100"))
+
+
+def test_no_port(write: Callable[..., Path]) -> None:
+    bus = BusFile.load(write(BUS, 'port = "PORT"\n'))
+    with pytest.raises(ConfigurationError, match=r"\[bus\] has no port: add port = "):
+        bus.master()
+    with pytest.raises(PortError, match="no/such/port"):
+        BusFile.load(write()).master("/no/such/port")
+
+
+# ---- dpmaster run
+
+
+def test_run_shows_the_stations(write: Callable[..., Path], wire: Segment, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["run", str(write()), "--port", wire.port(), "--seconds", "1.2", "--set", "Valves.Drain=on"]) == 0
+    out = capsys.readouterr().out
+    assert re.search(r", 500 kbit/s, Operate: cycle \d+", out)
+    assert re.search(r"   5  Pump +exchange\n      in  .*\n      out 00 00 00 00 00 00\n", out)
+    assert re.search(r"   7  Valves +exchange\n      Tank 0 %   Drain on\n", out)
+
+
+def test_run_as_json(write: Callable[..., Path], wire: Segment, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["run", str(write()), "--port", wire.port(), "--seconds", "0.1", "--json"]) == 0
+    seen = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert seen["mode"] == "operate" and [s["address"] for s in seen["stations"]] == [5, 7, 9]
+    assert seen["stations"][1]["signals"] == {"Tank": 0.0, "Drain": False}
+
+
+def test_run_goes_on_without_a_station(write: Callable[..., Path], capsys: pytest.CaptureFixture[str],
+                                       monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dpmaster.cli.run.START", 0.3)
+    with Segment() as wire:
+        wire.attach(SIP1(5))
+        assert cli.main(["run", str(write()), "--port", wire.port(), "--seconds", "0.1"]) == 0
+        said = capsys.readouterr()
+        assert "going on without some stations: 2 of 3" in said.err
+        assert re.search("7  Valves +OFFLINE: does not answer", said.out)
+    with Segment() as nobody:
+        assert cli.main(["run", str(write()), "--port", nobody.port(), "--seconds", "0.1"]) == 1
+
+
+@pytest.mark.parametrize(("value", "words"), [
+    ("Valves.Drain", "write STATION.SIGNAL=VALUE"), ("Tanks.Drain=on", "the stations are Pump, Valves, station 9"),
+    ("Valves.Drain=2", "Drain takes on or off"), ("Valves.Tank=2", "is an input"), ("7.Drein=on", "no signal 'Drein'")])
+def test_values_are_checked_before_the_port_is_opened(write: Callable[..., Path], capsys: pytest.CaptureFixture[str],
+                                                      value: str, words: str) -> None:
+    assert cli.main(["run", str(write()), "--set", value]) == 2
+    assert words in capsys.readouterr().err
+
+
+def test_check_only(write: Callable[..., Path], capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["run", str(write()), "--check"]) == 0
+    assert re.search(r"7  Valves +ident 4321h, 4 octets in, 1 out\n", capsys.readouterr().out)
+    assert cli.main(["run", str(write(BUS, "address = 7", "address = 5")), "--check"]) == 2
+    assert "station[2].address" in capsys.readouterr().err
+
+
+def test_ctrl_c_ends_it_well(write: Callable[..., Path], wire: Segment) -> None:
+    program = [sys.executable, "-m", "dpmaster", "run", str(write()), "--port", wire.port(), "--json"]
+    with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as run:
+        assert run.stdout is not None and run.stderr is not None
+        run.stdout.readline()
+        run.send_signal(2)
+        assert run.wait(10) == 0
+        assert "Traceback" not in run.stderr.read()
+
+
+# ---- what other commands make of it
+
+
+def test_timing_of_a_bus_file(write: Callable[..., Path], capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["timing", "--file", str(write()), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert [entry["address"] for entry in found["cycle"]["exchanges"]] == [5, 7, 9]
+    assert found["parameters"]["max_tsdr"] == 200
+    assert cli.main(["timing", "--file", str(write(BUS, "max_retry_limit = 3", "tsl = 100"))]) == 1
+    assert "WILL NOT WORK: " in capsys.readouterr().out
+
+
+def test_a_station_of_gsd_config_can_be_pasted(write: Callable[..., Path], capsys: pytest.CaptureFixture[str]) -> None:
+    path = write()
+    gsd = path.with_name("valve.gsd")
+    chosen = ["--module", "8 valves", "--parameter", "On failure=reset"]
+    assert cli.main(["gsd", "config", str(gsd), "--address", "11", *chosen]) == 0
+    with path.open("a", encoding="utf-8") as file:
+        file.write("\n" + capsys.readouterr().out)
+    station = BusFile.load(path).stations[-1]
+    assert (station.address, station.configuration, station.user_parameters) == (11, b"\x20", b"\x01")
