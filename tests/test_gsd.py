@@ -360,8 +360,8 @@ def test_junk_of_ten_times_the_length_takes_ten_times_the_time(kind: str) -> Non
         GSD.parse(junk)
         return time.process_time() - begin
 
-    short = max(min(seconds(10_000) for _ in range(3)), 0.001)
-    assert min(seconds(100_000) for _ in range(2)) < 40 * short
+    short = max(min(seconds(5_000) for _ in range(3)), 0.001)
+    assert min(seconds(50_000) for _ in range(2)) < 40 * short
 
 
 GRAMMAR = '''#Profibus_DP
@@ -413,9 +413,8 @@ LINES = st.sampled_from(GRAMMAR.split("\n"))
 @settings(max_examples=200, deadline=None)
 def test_any_text_gives_a_model_and_findings(content: str | bytes) -> None:
     gsd = GSD.parse(content)
-    lines = gsd.findings and max(finding.line for finding in gsd.findings)
     assert gsd.modules or gsd.findings
-    assert lines <= len(content) + 1
+    assert all(0 <= finding.line <= len(content) + 1 for finding in gsd.findings)
     json.dumps(as_object(gsd))
     with contextlib.suppress(DPError):
         configuration = gsd.configure()

@@ -70,6 +70,7 @@ def test_the_source_distribution_holds_every_source_and_what_a_packager_wants(sd
         }
 
     wanted = files("csrc") | files("include") | files("dpmaster") | files("tests")
+    wanted |= {str(path.relative_to(ROOT)) for path in (ROOT / "dpmaster").rglob("*.gsd")}
     wanted |= {"Makefile", "setup.py", "pyproject.toml", "LICENSE", "README.md", "CHANGELOG.md", "dpmaster/py.typed"}
     assert len(wanted) > 30
     assert sorted(name for name in wanted if not (sdist / name).is_file()) == []
@@ -82,10 +83,12 @@ def test_the_source_distribution_builds_by_itself(sdist: Path, tmp_path: Path) -
     )
     assert done.returncode == 0, done.stderr
     # From another directory, so that neither the tree nor its compiled module can be what is imported.
-    program = "import dpmaster._dpm as built; print(built.__file__, built.ffi.string(built.lib.dpm_strerror(0)))"
+    program = ("import dpmaster._dpm as built; from dpmaster.gsd import devices; "
+               "print(built.__file__, built.ffi.string(built.lib.dpm_strerror(0)), *devices.NAMES)")
     done = run(sys.executable, "-c", program, cwd=tmp_path, PYTHONPATH=str(tmp_path / "lib"))
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith(str(tmp_path / "lib"))
+    assert done.stdout.split()[-3:] == ["si-p1", "si-p3", "vw3a3607"]  # a wheel holds what is built
 
 
 # --- the binding -----------------------------------------------------------------------------------------------------

@@ -49,7 +49,7 @@ def _device(device: Device, reader: Reader) -> Iterator[Said]:
     for rate, bits in device.max_tsdr.items():
         if not TSDR[0] <= bits <= TSDR[1] and device.rates.get(rate):
             yield (WARNING, reader.given.get((id(device), "max_tsdr", rate)),
-                   f"MaxTsdr {bits} Tbit at {rate} bit/s: {TSDR[0]} to {TSDR[1]}; the standard's is taken")
+                   f"MaxTsdr {bits} Tbit at {rate} bit/s: {TSDR[0]} to {TSDR[1]}; the nearest that a master can use is taken")
     if device.station_type:
         yield NOTE, reader.given.get((id(device), "station_type", None)), "this is a master, no slave"
 

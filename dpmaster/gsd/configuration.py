@@ -77,8 +77,9 @@ class Configuration:
         self._dpv1 = dpv1
         self._alarms = self._alarm_bits(alarms)
         self._watchers: list[Callable[[bytes], None]] = []
-        self.parameters = Parameters(device.title, device, device, None, self._check_prm)
+        self.parameters = Parameters(device.title, device, device, None, self._changed)
         """Of the station; those of a module are in its `Place`."""
+        self._owned = self.parameters.masks(3)
         self.places: tuple[Place, ...] = ()
         at = inputs = outputs = 0
         for slot, module in places:
@@ -96,7 +97,7 @@ class Configuration:
 
         identifiers = tuple(replace(entry, slot=at + entry.slot, inputs=moved(entry.inputs, inputs),
                                     outputs=moved(entry.outputs, outputs)) for entry in module.identifiers)
-        parameters = Parameters(f"slot {slot}, {name!r}", self.device, module, module.prm_length, self._check_prm,
+        parameters = Parameters(f"slot {slot}, {name!r}", self.device, module, module.prm_length, self._changed,
                                 slot)
         return Place(slot, name, module, identifiers, Span(inputs, module.input_length), Span(outputs, module.output_length),
                      parameters)
@@ -152,8 +153,7 @@ class Configuration:
             (0, _WD_BASE_1MS, False), (1, self._alarms, True), (2, _PRM_STRUCTURE, self._structured(octets)),
         ]
         for at, bits, on in wanted:
-            for placed in self.parameters.placed:
-                bits &= ~placed.mask.get(at, 0)
+            bits &= ~self._owned[at]
             octets[at] = octets[at] | bits if on else octets[at] & ~bits
 
     def _enabled(self, octets: bytearray) -> bool:
@@ -217,11 +217,14 @@ class Configuration:
         return IO_MAX if self.device.modular else 1
 
     def _check_prm(self) -> None:
-        length = len(self.user_parameters)
-        limit = min(USER_PARAMETERS_MAX, self.device.max_user_prm_length or USER_PARAMETERS_MAX)
-        if length > USER_PARAMETERS_MAX:
-            raise ConfigurationError(f"{self.device.title}: {length} octets of user parameters, and a telegram holds {limit}: "
-                                     "take modules out")
+        length, own = len(self.user_parameters), len(self._station_prm())
+        limit = min(USER_PARAMETERS_MAX, max(own, self.device.max_user_prm_length or USER_PARAMETERS_MAX))
+        if length > limit:
+            rule = "Max_User_Prm_Data_Len is" if limit < USER_PARAMETERS_MAX else "a telegram holds"
+            raise ConfigurationError(f"{self.device.title}: {length} octets of user parameters, and {rule} {limit}: take "
+                                     "modules out")
+
+    def _changed(self) -> None:
         for watcher in self._watchers:
             watcher(self.user_parameters)
 

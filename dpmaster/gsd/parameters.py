@@ -22,12 +22,6 @@ class Placed:
     offset: int
     parameter: Parameter
 
-    @property
-    def mask(self) -> dict[int, int]:
-        """The bits of each octet of the block that are its own."""
-        octets = self.parameter.mask.to_bytes(self.parameter.octets, "big")
-        return {self.offset + at: bits for at, bits in enumerate(octets) if bits}
-
 
 class Parameters(Mapping[str, int | str]):
     """The parameters of a station or a module by name, each at its default until it is set.
@@ -112,6 +106,13 @@ class Parameters(Mapping[str, int | str]):
 
     def __repr__(self) -> str:
         return repr(dict(self))
+
+    def masks(self, length: int) -> bytes:
+        """Of the block's first octets the bits that are some parameter's."""
+        block = bytearray(max(length, self.length))
+        for placed in self.placed:
+            placed.parameter.put(block, placed.offset, -1)
+        return bytes(block[:length])
 
     @property
     def changed(self) -> dict[str, int | str]:
