@@ -18,12 +18,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from gsd_files import NAMES
+from gsd_files import path as gsd_path
 from slave_rig import octets, telegram
 
 from dpmaster import ClosedError, ConfigurationError, DPTimeout, Master, Station, StationState
 from dpmaster.emulator import Exchange, Habits, Segment, SlaveState, blocks
 from dpmaster.emulator.cards import GenericSlave
 from dpmaster.emulator.host import slave_config
+from dpmaster.gsd import GSD
 
 IDENT = 0x0A35
 PATIENCE = 5.0  # s; only a failing test waits so long
@@ -71,7 +74,9 @@ def test_modules_and_their_part_of_the_images() -> None:
     """Page G.2: 33 = 4 octets both ways, 00 empty, C0 01 00 = 2 octets out, 1 in (output length first), D3 E1 of one module."""
     slave = GenericSlave(5, IDENT, [b"\x33", b"\x00", octets("C0 01 00"), octets("D3 E1"), octets("02 AA BB")])
     assert slave.configurations == (octets("33 00 C0 01 00 D3 E1 02 AA BB"),)
-    assert [module.slot for module in slave.modules] == [1, 2, 3, 4, 6], "every identifier counts"
+    assert [module.slot for module in slave.modules] == [1, 2, 3, 4, 5]
+    assert [module.identifier for module in slave.modules] == [1, 2, 3, 4, 6], "every identifier counts, 00 too"
+    assert slave[3] is slave.modules[2]
     assert [len(module.inputs) for module in slave.modules] == [4, 0, 1, 8, 0]
     slave.step(0.0, exchanging(bytes(range(1, 11))))
     assert [module.outputs.hex() for module in slave.modules] == ["01020304", "", "0506", "0708090a", ""]
@@ -87,7 +92,7 @@ def test_modules_and_their_part_of_the_images() -> None:
 
 def test_one_bytes_is_one_module_for_each_identifier() -> None:
     slave = GenericSlave(5, IDENT, octets("33 00 C0 01 00 42 83 AA BB"))
-    assert [module.identifiers for module in slave.modules] == [b"\x33", b"\x00", octets("C0 01 00"), octets("42 83 AA BB")]
+    assert [module.octets for module in slave.modules] == [b"\x33", b"\x00", octets("C0 01 00"), octets("42 83 AA BB")]
 
 
 @pytest.mark.parametrize(("change", "names"), [
@@ -105,7 +110,7 @@ def test_inputs_that_do_not_fit(change: Callable[[GenericSlave], None], names: s
 
 
 @pytest.mark.parametrize("arguments", [
-    {"modules": [b""]}, {"modules": b"\x41"}, {"modules": [b"\xff"] * 8}, {"address": 127}, {"ident_number": 0x10000},
+    {"modules": b"\x41"}, {"modules": [b"\xff"] * 8}, {"address": 127}, {"ident_number": 0x10000},
     {"max_diagnosis": 5}, {"others": [b"\x41"]}, {"modules": [b"\x41", b"\x31"]},
 ])
 def test_what_no_slave_is(arguments: dict[str, Any]) -> None:
@@ -189,11 +194,12 @@ def test_the_other_settings() -> None:
 
 
 @pytest.mark.parametrize("wrong", [
-    {"min_slave_interval": -1}, {"baud_control": 2.6}, {"baud_control": float("nan")}, {"identity": ("x" * 61, "", "", "")},
+    {"modules": [b""]}, {"modules": [b"\0"] * 245}, {"min_slave_interval": -1}, {"baud_control": 2.6},
+    {"baud_control": float("nan")}, {"identity": ("x" * 61, "", "", "")},
 ])
 def test_settings_out_of_range(wrong: dict[str, Any]) -> None:
-    with pytest.raises(ConfigurationError, match=next(iter(wrong))):
-        slave_config(GenericSlave(5, IDENT, b"\x33", **wrong))
+    with pytest.raises(ConfigurationError, match=next(iter(wrong)).replace("modules", "configuration")):
+        slave_config(GenericSlave(**{"address": 5, "ident_number": IDENT, "modules": b"\x33", **wrong}))
 
 
 # --- on a wire, with a master
@@ -340,7 +346,133 @@ def test_waits_end(wire: Segment) -> None:
     slave.ready = False  # nothing of it reaches anybody, nothing of it hurts
 
 
+# --- described by a GSD file
+
+ACME = """#Profibus_DP
+GSD_Revision = 3
+Vendor_Name = "ACME"
+Model_Name = "Brick"
+Revision = "1"
+Ident_Number = 0x0A35
+Protocol_Ident = 0
+Station_Type = 0
+Hardware_Release = "V1"
+Software_Release = "V2.0"
+19.2_supp = 1
+MaxTsdr_19.2 = 60
+Freeze_Mode_supp = 1
+Sync_Mode_supp = 0
+Auto_Baud_supp = 1
+Set_Slave_Add_supp = 1
+Fail_Safe = 1
+Min_Slave_Intervall = 7
+Max_Diag_Data_Len = 32
+Modular_Station = 1
+Max_Module = 4
+Max_Input_Len = 20
+Max_Output_Len = 20
+Max_Data_Len = 40
+Max_User_Prm_Data_Len = 4
+Ext_User_Prm_Data_Const(0) = 0x11,0x22,0x33
+Module = "2 bytes in" 0x11
+EndModule
+Module = "1 word out" 0x60
+EndModule
+Module = "Axis" 0xC0,0x01,0x02
+Ext_Module_Prm_Data_Len = 1
+EndModule
+Module = "Blank" 0x00
+EndModule
+"""
+
+
+def test_a_slave_is_what_its_file_says() -> None:
+    slave = GenericSlave.from_gsd(GSD.parse(ACME), ["2 bytes in", "blank", "Axis"], address=5)
+    assert (slave.address, slave.ident_number, slave.configurations) == (5, IDENT, (octets("11 00 C0 01 02"),))
+    assert (slave.fail_safe, slave.freeze, slave.sync, slave.set_address) == (True, True, False, True)
+    assert (slave.min_slave_interval, slave.max_diagnosis, slave.auto_baud) == (7, 32, False)
+    assert slave.user_parameters == (4, 4), "three octets of the station, one of the axis"
+    assert [(m.slot, m.identifier, m.name, len(m.inputs), len(m.outputs)) for m in slave.modules] == [
+        (1, 1, "2 bytes in", 2, 0), (2, 2, "Blank", 0, 0), (3, 3, "Axis", 3, 2)]
+    slave["axis"].inputs = b"\x01\x02\x03"
+    assert slave[3].inputs == slave.inputs[2:] == b"\x01\x02\x03"
+    for wrong in (4, "axle"):
+        with pytest.raises(ConfigurationError, match="its slots are 1 2 bytes in, 2 Blank, 3 Axis"):
+            _ = slave[wrong]
+
+
+def test_options_go_before_the_file() -> None:
+    slave = GenericSlave.from_gsd(GSD.parse(ACME), ["Axis"], address=126, user_parameters=(0, 9), sync=True, auto_baud=True)
+    assert (slave.user_parameters, slave.sync, slave.auto_baud) == ((0, 9), True, True)
+
+
+@pytest.mark.parametrize(("change", "modules", "names"), [
+    ("Ident_Number = 0x0A35\n", ["Axis"], "Ident_Number"), ("Station_Type = 0", ["Axis"], "master"), ("", ["Wheel"], "Wheel"),
+    ("", ["Axis"] * 5, "Max_Module"),
+])
+def test_a_file_that_describes_no_slave_of_that_kind(change: str, modules: list[str], names: str) -> None:
+    text = ACME.replace(change, "Station_Type = 1" if "Station" in change else "") if change else ACME
+    with pytest.raises(ConfigurationError, match=names):
+        GenericSlave.from_gsd(GSD.parse(text), modules, address=5)
+
+
+def test_a_station_and_a_slave_of_one_file(wire: Segment) -> None:
+    modules = ["1 word out", "Axis"]
+    slave = wire.attach(GenericSlave.from_gsd(GSD.parse(ACME), modules, address=5))
+    with Master(wire.port(), 500_000) as master:
+        one = master.add(Station.from_gsd(GSD.parse(ACME), 5, modules))
+        master.operate()
+        one["Axis"].outputs = octets("0A 0B")
+        slave.wait(lambda s: s["Axis"].outputs == octets("0A 0B"), PATIENCE)
+        slave["Axis"].inputs = octets("01 02 03")
+        one.wait(lambda frame: one["Axis"].inputs == octets("01 02 03"), PATIENCE)
+        master.clear()
+        slave.wait(lambda s: not s.exchange.valid, PATIENCE)
+        assert wire.report(slave).state is SlaveState.DATA_EXCH, "an empty Data_Exchange is Clear to it"
+        assert wire.report(slave).user_parameters[1:3] == octets("22 33")
+
+
+def test_the_makers_files_all_on_one_wire() -> None:
+    """Every file that describes a slave: it comes into Data_Exchange with the station of the same file, and hears it."""
+    if not NAMES:
+        pytest.skip("the makers' GSD files are not there")
+    devices = [device for device in map(GSD.load, map(gsd_path, NAMES)) if device.ident_number and not device.station_type]
+    assert len(devices) > 80
+    with Segment(cards=126) as wire:
+        slaves = [wire.attach(GenericSlave.from_gsd(device, address=2 + i)) for i, device in enumerate(devices)]
+        with Master(wire.port(), 500_000, output_watchdog=None) as master:
+            stations = [master.add(Station.from_gsd(device, 2 + i, watchdog=10.0)) for i, device in enumerate(devices)]
+            master.operate(timeout=30.0)
+            for one, slave in zip(stations, slaves, strict=True):
+                wanted = bytes(i % 255 + 1 for i in range(len(slave.outputs)))
+                if wanted:
+                    one.update(0, wanted)
+                    slave.wait(lambda s, wanted=wanted: s.outputs == wanted, PATIENCE)
+
+
 # --- the command
+
+
+def test_the_console_of_a_gsd_file(tmp_path: Path) -> None:
+    file, link = tmp_path / "acme.gsd", tmp_path / "slave"
+    file.write_text(ACME)
+    arguments = [str(file), "--module", "1 word out", "2 bytes in", "--module", "Axis", "--address", "5", "--link", str(link),
+                 "--input", "0=AB CD"]
+    with subprocess.Popen([sys.executable, "-m", "dpmaster", "emulate", "gsd", *arguments], stdin=subprocess.DEVNULL,
+                          stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, bufsize=1) as command:
+        try:
+            assert command.stdout and command.stderr
+            assert command.stdout.readline().rstrip() == os.readlink(link)
+            with Master(str(link), 500_000) as master:
+                one = master.add(Station.from_gsd(file, 5, ["1 word out", "2 bytes in", "Axis"]))
+                master.operate()
+                one.wait(lambda frame: frame.octets == octets("AB CD 00 00 00"), PATIENCE)
+                one["1 word out"].outputs = octets("12 34")
+                assert any(line == "outputs 12 34 00 00\n" for line in command.stdout)
+            command.send_signal(signal.SIGINT)
+            assert (command.wait(PATIENCE), command.stderr.read()) == (0, "")
+        finally:
+            command.kill()
 
 
 def test_the_console(tmp_path: Path) -> None:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
 """``dpmaster emulate``: a slave on a pty of its own or on somebody else's wire: an option card with a drive behind it, or one
-that is described by ident number and configuration and has a console."""
+that is described by data, a GSD file among them, and has a console."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import argparse
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 from dpmaster.cli import _console as console
 from dpmaster.cli import _links as links
@@ -25,6 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     cards = parser.add_subparsers(metavar="CARD", dest="card", required=True)
     _add(cards, "si-p1", "Yaskawa V7 with SI-P1", _sip1_arguments)
     _add(cards, "generic", "any slave, described by ident number and configuration, with a console", _generic_arguments)
+    _add(cards, "gsd", "any slave, described by its GSD file, with a console", _gsd_arguments)
 
 
 def _add(cards: argparse._SubParsersAction[argparse.ArgumentParser], name: str, what: str,
@@ -46,8 +48,16 @@ def _sip1_arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(make=lambda args: SIP1(args.address, parameters=args.parameters))
 
 
+def _gsd_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.usage = "dpmaster emulate gsd FILE [--module NAME ...] --address N [options]"
+    parser.add_argument("file", metavar="FILE", help="the device's GSD file")
+    parser.add_argument("--module", action="extend", nargs="+", metavar="NAME",
+                        help="modules by the file's names, in the order of their slots; default: those the file settles")
+    _common_arguments(parser)
+    parser.set_defaults(make=_gsd)
+
+
 def _generic_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.epilog = f"Lines on stdin, while it runs:\n{console.HELP}"
     parser.add_argument("--ident", required=True, metavar="HEX", help="ident number")
     parser.add_argument("--config", required=True, action="append", metavar="HEX",
                         help="identifier octets; once more for each further configuration that it accepts")
@@ -56,8 +66,7 @@ def _generic_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--min-slave-interval", type=int, default=0, metavar="N",
                         help="in 100 us; what comes sooner is counted")
     for option, what in (("--fail-safe", "takes an empty Data_Exchange as Clear"),
-                         ("--set-address", "takes Set_Slave_Add; with --address 126 it waits for it"),
-                         ("--auto-baud", "searches the wire's rate"), ("--echo", "its inputs are its outputs")):
+                         ("--set-address", "takes Set_Slave_Add; with --address 126 it waits for it")):
         parser.add_argument(option, action="store_true", help=what)
     parser.add_argument("--no-sync", action="store_true", help="has no Sync")
     parser.add_argument("--no-freeze", action="store_true", help="has no Freeze")
@@ -67,6 +76,9 @@ def _generic_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _common_arguments(parser: argparse.ArgumentParser) -> None:
     """Of all slaves that are described by data."""
+    parser.epilog = f"Lines on stdin, while it runs:\n{console.HELP}"
+    parser.add_argument("--auto-baud", action="store_true", help="searches the wire's rate")
+    parser.add_argument("--echo", action="store_true", help="its inputs are its outputs")
     parser.add_argument("--identity", metavar="VENDOR,CONTROLLER,HARDWARE,SOFTWARE", help="what Ident is answered; default RS")
     parser.add_argument("--input", action="append", default=[], metavar="OFFSET=HEX", help="inputs to begin with")
     habits = "; ".join(f"{name} {'|'.join(words)}" for name, words in Habits.WORDS.items())
@@ -76,21 +88,27 @@ def _common_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _generic(args: argparse.Namespace) -> Card:
     real, *others = (console.octets_of("--config", text) for text in args.config)
-    slave = GenericSlave(
+    return _begin(GenericSlave(
         args.address, _ident(args.ident), real, others=others, user_parameters=_limits(args.user_parameters),
         fail_safe=args.fail_safe, sync=not args.no_sync, freeze=not args.no_freeze, max_diagnosis=args.max_diagnosis,
-        min_slave_interval=args.min_slave_interval, set_address=args.set_address, auto_baud=args.auto_baud,
-        identity=_identity(args.identity), habits=_habits(args.habit), echo=args.echo)
-    _begin(slave, args)
-    return slave
+        min_slave_interval=args.min_slave_interval, set_address=args.set_address, **_common(args)), args)
 
 
-def _begin(slave: GenericSlave, args: argparse.Namespace) -> None:
+def _gsd(args: argparse.Namespace) -> Card:
+    return _begin(GenericSlave.from_gsd(args.file, args.module, address=args.address, **_common(args)), args)
+
+
+def _common(args: argparse.Namespace) -> dict[str, Any]:
+    return {"auto_baud": args.auto_baud, "echo": args.echo, "identity": _identity(args.identity), "habits": _habits(args.habit)}
+
+
+def _begin(slave: GenericSlave, args: argparse.Namespace) -> Card:
     for given in args.input:
         where, equals, octets = given.partition("=")
         if not equals:
             raise ConfigurationError(f"--input {given}: OFFSET=HEX")
         console.set_inputs(slave, where, octets)
+    return slave
 
 
 def _ident(text: str) -> int:

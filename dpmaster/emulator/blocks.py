@@ -23,19 +23,19 @@ def device(data: bytes) -> bytes:
     return bytes([1 + len(data)]) + data
 
 
-def identifiers(slots: Iterable[int], of: int) -> bytes:
-    """Which of `of` identifiers (slots of the configuration, from 1; at most 496) have diagnosis."""
+def identifiers(numbers: Iterable[int], of: int) -> bytes:
+    """Which of the configuration's `of` identifiers (at most 496, counted from 1) have diagnosis."""
     length = (whole("identifiers", of, 1, 496) + 7) // 8
     bits = bytearray(length)
-    for slot in slots:
-        at = whole("identifier", slot, 1, of) - 1
+    for number in numbers:
+        at = whole("identifier", number, 1, of) - 1
         bits[at // 8] |= 1 << at % 8
     return bytes([0x40 | 1 + length]) + bits
 
 
-def channel(slot: int, number: int, error: int, *, direction: Literal["input", "output", "both"] = "input",
+def channel(identifier: int, number: int, error: int, *, direction: Literal["input", "output", "both"] = "input",
             type: int = 1) -> bytes:
-    """A fault of one channel (0 to 63) of the identifier at `slot` (1 to 64).
+    """A fault of channel `number` (0 to 63) of an identifier (1 to 64).
 
     error: 1 short circuit, 2 undervoltage, 3 overvoltage, 4 overload, 5 overtemperature, 6 line break, 7 and 8 upper and
     lower limit exceeded, 9 error, 16 to 31 the maker's. type: 0 unspecific, 1 bit, 2 two bits, 3 four bits, 4 byte, 5 word,
@@ -43,7 +43,7 @@ def channel(slot: int, number: int, error: int, *, direction: Literal["input", "
     """
     if direction not in _DIRECTIONS:
         raise ConfigurationError(f"direction {direction!r}: {', '.join(_DIRECTIONS)}")
-    return bytes([0x80 | whole("slot", slot, 1, 64) - 1, _DIRECTIONS[direction] | whole("channel", number, 0, 63),
+    return bytes([0x80 | whole("identifier", identifier, 1, 64) - 1, _DIRECTIONS[direction] | whole("channel", number, 0, 63),
                   whole("channel type", type, 0, 7) << 5 | whole("channel error", error, 0, 31)])
 
 

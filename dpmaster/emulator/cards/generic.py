@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A slave described by data alone: ident number and modules; a program sees its outputs and sets its inputs.
+"""A slave described by data alone, ident number and modules or a GSD file; a program sees its outputs and sets its inputs.
 
 Any thread may call anything. What a program changes is on the wire with the next answer, what a master writes is here as
 soon as the host's thread runs.
@@ -10,13 +10,17 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Self
+from os import PathLike
+from typing import Any, Self
 
 from dpmaster import _arguments
 from dpmaster.emulator.card import Card, Exchange, Habits, Slave, SlaveState
-from dpmaster.errors import ClosedError, DPTimeout
+from dpmaster.errors import ClosedError, ConfigurationError, DPTimeout
+from dpmaster.gsd import GSD
+from dpmaster.gsd.configuration import Chosen
+from dpmaster.gsd.model import plain
 from dpmaster.identifier import decode
 
 __all__ = ["GenericSlave", "Module"]
@@ -28,12 +32,17 @@ IDLE = 10.0
 class Module:
     """A place of the configuration in force, with its part of the images. An empty one has neither."""
 
-    def __init__(self, slave: GenericSlave, slot: int, identifiers: bytes, inputs: slice, outputs: slice) -> None:
+    name = ""
+    """As the GSD file calls it."""
+
+    def __init__(self, slave: GenericSlave, slot: int, identifier: int, octets: bytes, inputs: slice, outputs: slice) -> None:
         self._slave, self._inputs, self._outputs = slave, inputs, outputs
         self.slot = slot
-        """Number of its first identifier, from 1."""
-        self.identifiers = identifiers
-        """Its identifier octets."""
+        """From 1, or from what the GSD file begins with."""
+        self.identifier = identifier
+        """Number of its first identifier, from 1: what diagnosis counts by."""
+        self.octets = octets
+        """Its identifiers."""
 
     @property
     def outputs(self) -> bytes:
@@ -53,7 +62,7 @@ class Module:
             self._slave.update(self._inputs.start, found)
 
     def __repr__(self) -> str:
-        return f"<Module {self.identifiers.hex(' ')} at slot {self.slot}>"
+        return f"<slot {self.slot}{f' {self.name!r}' if self.name else ''} of {self._slave}: {self.octets.hex(' ')}>"
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +97,7 @@ class GenericSlave(Card):
         self.address = _arguments.whole("address", address, 0, 126)
         self.ident_number = _arguments.whole("ident_number", ident_number, 0, 0xFFFF)
         self._layouts = tuple(self._layout(_modules(configuration)) for configuration in (modules, *others))
-        self.configurations = tuple(b"".join(module.identifiers for module in layout.modules) for layout in self._layouts)
+        self.configurations = tuple(b"".join(module.octets for module in layout.modules) for layout in self._layouts)
         self.user_parameters, self.max_diagnosis = user_parameters, _arguments.whole("max_diagnosis", max_diagnosis, 6, 244)
         self.fail_safe, self.sync, self.freeze = fail_safe, sync, freeze
         self.min_slave_interval, self.identity, self.habits = min_slave_interval, identity, habits or Habits()
@@ -102,16 +111,42 @@ class GenericSlave(Card):
         self._ready = True
         self._gone = False
 
+    @classmethod
+    def from_gsd(cls, gsd: GSD | str | PathLike[str], modules: Iterable[Chosen] | None = None, *, address: int,
+                 names: Mapping[str, int] | None = None, **options: Any) -> Self:
+        """The slave that a GSD file describes, with modules chosen as for `GSD.configure`; None: its default modules.
+
+        It takes User_Prm_Data of exactly the length that its modules ask for, and no other configuration. `options` are those
+        of `GenericSlave` and go before what the file says. A search of the rate is one of them: with `auto_baud=True` the
+        first answer comes up to 1.3 s late.
+        Raises ConfigurationError when the file is no slave's or the modules do not fit.
+        """
+        device = gsd if isinstance(gsd, GSD) else GSD.load(gsd)
+        if device.ident_number is None or device.station_type:
+            what = "describes a master" if device.station_type else "has no Ident_Number"
+            raise ConfigurationError(f"{device.title}: its GSD file {what}, so there is no slave to emulate")
+        chosen = device.configure(modules, names=names)
+        length = len(chosen.user_parameters)
+        said: dict[str, Any] = {
+            "user_parameters": (length, length), "fail_safe": device.fail_safe, "sync": device.sync, "freeze": device.freeze,
+            "max_diagnosis": min(max(device.max_diag_length or 6, 6), 244), "set_address": device.set_slave_add,
+            "min_slave_interval": device.min_slave_interval or 0,
+        }
+        slave = cls(address, device.ident_number, [place.module.configuration for place in chosen], **said | options)
+        for module, place in zip(slave.modules, chosen, strict=True):
+            module.slot, module.name = place.slot, place.name
+        return slave
+
     def _layout(self, modules: Iterable[bytes]) -> _Layout:
         found: list[Module] = []
-        slot, inputs, outputs = 1, 0, 0
+        identifier, inputs, outputs = 1, 0, 0
         for module in modules:
             parts = decode(module)
             ends = (inputs + sum(part.inputs.octets for part in parts if part.inputs),
                     outputs + sum(part.outputs.octets for part in parts if part.outputs))
-            found.append(Module(self, slot, module, slice(inputs, ends[0]), slice(outputs, ends[1])))
-            slot, inputs, outputs = slot + len(parts), *ends
-        decode(b"".join(module.identifiers for module in found))  # the sums have limits of their own
+            found.append(Module(self, len(found) + 1, identifier, module, slice(inputs, ends[0]), slice(outputs, ends[1])))
+            identifier, inputs, outputs = identifier + len(parts), *ends
+        decode(b"".join(module.octets for module in found))  # the sums have limits of their own
         return _Layout(tuple(found), inputs, outputs)
 
     # -- What a program sees and does ------------------------------------------------------------------------------
@@ -129,6 +164,15 @@ class GenericSlave(Card):
     def modules(self) -> tuple[Module, ...]:
         """Those of the configuration that the master has chosen, or else of the slave's own."""
         return self._layouts[max(self._exchange.configuration, 0)].modules
+
+    def __getitem__(self, which: int | str) -> Module:
+        """The module in a slot, or of a name. Raises ConfigurationError for any other."""
+        found = [m for m in self.modules if m.slot == which or (isinstance(which, str) and plain(m.name) == plain(which))]
+        if len(found) != 1:
+            there = ", ".join(f"{m.slot} {m.name}".rstrip() for m in self.modules)
+            many = "several modules" if found else "no module"
+            raise ConfigurationError(f"{self} has {many} {which!r}: its slots are {there}")
+        return found[0]
 
     @property
     def outputs(self) -> bytes:
@@ -247,4 +291,4 @@ class GenericSlave(Card):
 def _modules(configuration: bytes | Iterable[bytes]) -> list[bytes]:
     if isinstance(configuration, bytes | bytearray):
         return [identifier.encode() for identifier in decode(bytes(configuration))]
-    return [_arguments.octets("module", module, 1, 244) for module in configuration]
+    return [_arguments.octets("module", module, 0, 244) for module in configuration]
