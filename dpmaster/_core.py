@@ -31,7 +31,7 @@ T = TypeVar("T")
 NS = 1_000_000_000
 SLICE = 0.1  # s, longest stay in C: Ctrl-C is answered and the output watchdog fed at least so often
 
-_PORT = ("NO_PORT", "PERMISSION", "IN_USE", "NOT_TTY", "SETTINGS", "GONE", "SYSTEM")
+_PORT = ("NO_PORT", "PERMISSION", "IN_USE", "NOT_TTY", "SETTINGS", "RATE", "RS485", "GONE", "SYSTEM")
 _KINDS: dict[type[errors.DPError], tuple[str, ...]] = {
     errors.ConfigurationError: ("ARGUMENT", "ADDRESS", "DUPLICATE", "FULL", "LENGTH", "CONFIGURATION", "PARAMETER", "SLOT"),
     errors.NotOperatingError: ("MODE", "LATCHED"),

@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 import threading
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -73,7 +73,18 @@ class PortStatistics:
 
     profile: str
     allowance: float
+    rate: int
+    """bit/s, as the driver says it makes."""
     parity: bool
+    rs485: bool
+    """The driver switches the direction."""
+    drains: bool
+    """The driver tells when a transmission has ended; else that is computed."""
+    low_latency: bool
+    fifo_trigger: int | None
+    """Octets in the receive FIFO that raise an interrupt; None: the driver does not say."""
+    driver: Mapping[str, int] | None
+    """The driver's own counters of errors since the port was opened; None: it has none."""
     octets_in: int
     octets_out: int
     echo_octets: int
@@ -85,22 +96,40 @@ class PortStatistics:
 
 
 _PROFILES = {None: "AUTO", "uart": "UART", "usb": "USB", "pty": "PTY"}
+_DIRECTIONS = {None: "AUTO", "rs485": "RS485", "rs485-inverted": "RS485_INVERTED"}
 # What Python knows beyond the library's text of the same code.
 _REMEDIES = {
     "NO_PORT": "/dev/serial/by-id lists those that are",
     "PERMISSION": "then log in again",
     "IN_USE": "'fuser -v {path}' names it",
     "NOT_TTY": "give that of one, or a segment's port()",
+    "RATE": "'dpmaster doctor {path}' tells which it makes",
+    "RS485": "leave direction= out",
     "GONE": "plug it in again, or open its segment, and open a new one",
 }
 
 
-def port_error(path: str, code: int) -> PortError:
-    """Path, reason, remedy."""
-    base = _core.error(code)
+def port_error(path: str, code: int, **context: object) -> PortError:
+    """Path, reason, the values concerned, remedy."""
+    base = _core.error(code, **context)
     remedy = next((text for name, text in _REMEDIES.items() if getattr(lib, f"DPM_E_{name}") == code), "").format(path=path)
     return PortError(f"port {path}: {base}" + (f"; {remedy}" if remedy else ""), path=path, dpm_code=code,
                      errno=base.errno if isinstance(base, PortError) else None)
+
+
+def direction_code(direction: str | None) -> int:
+    """``enum dpm_direction`` of a name, or ConfigurationError with the reason."""
+    if direction not in _DIRECTIONS:
+        raise ConfigurationError(
+            f"direction {direction!r}: 'rs485' or 'rs485-inverted', where the driver switches, or None, where hat or adapter "
+            "does. A pin that a program switches (RTS, a GPIO) is not offered: slaves answer 11 bit times after a request, "
+            "which is 22 us at 500 kbit/s, and a program wakes 50 us to some ms after its last stop bit, so it would talk "
+            "over the answer")
+    return int(getattr(lib, f"DPM_DIRECTION_{_DIRECTIONS[direction]}"))
+
+
+def _counters(port: Any) -> Mapping[str, int]:
+    return {name: getattr(port.driver, name) for name, _ in ffi.typeof("dpm_driver_counters").fields}
 
 
 def _shut(process: _core.Process, handle: Any, events: list[Events], kept: list[Any]) -> None:
@@ -118,7 +147,7 @@ class Bus:
     """A port, opened at once; the thread begins with `start`. All methods are safe from any thread."""
 
     def __init__(self, port: str, rate: tuple[int, int], *, echo: bool | None, profile: str | None,
-                 allowance: float | None, realtime: Wish = False) -> None:
+                 allowance: float | None, realtime: Wish = False, direction: str | None = None) -> None:
         if profile not in _PROFILES:
             raise ConfigurationError(f"profile {profile!r}: 'uart', 'usb', 'pty', or None to go by the path")
         if echo not in (None, False, True):
@@ -135,11 +164,12 @@ class Bus:
         self._events: list[Events] = []
         self._kept: list[Any] = []
         self._starting = threading.Lock()
-        self._handle = self._open(port, rate, echo, profile, allowance)
+        self._handle = self._open(port, rate, echo, profile, allowance, direction_code(direction))
         self._finish = weakref.finalize(self, _shut, self.process, self._handle, self._events, self._kept)
         self._finish.atexit = False  # a Master that still lives says its stop words first
 
-    def _open(self, port: str, rate: tuple[int, int], echo: bool | None, profile: str | None, allowance: float | None) -> Any:
+    def _open(self, port: str, rate: tuple[int, int], echo: bool | None, profile: str | None, allowance: float | None,
+              direction: int) -> Any:
         path = ffi.new("char[]", os.fsencode(self.path))
         config = ffi.new("dpm_port_config *")
         config.path = path
@@ -149,12 +179,14 @@ class Bus:
         # A segment's port knows whether its hub paces; of any other pty nobody can tell.
         paced: bool | None = getattr(port, "paced", None)
         config.pace = {None: lib.DPM_PACE_AUTO, False: lib.DPM_PACE_NONE, True: lib.DPM_PACE_BAUD}[paced]
+        config.direction = direction
         config.allowance = -1 if allowance is None else round(allowance * NS)
         memory = self._keep(lib.dpm_bus_size())
         handle = ffi.new("dpm_bus **")
         code = lib.dpm_bus_open(memory, len(memory), config, handle)
         if code < 0:
-            raise port_error(self.path, code)
+            rated = {"baudrate": f"{rate[0] / rate[1]:.0f}"} if code == lib.DPM_E_RATE else {}
+            raise port_error(self.path, code, **rated)
         return handle[0]
 
     def _keep(self, size: int) -> Any:
@@ -264,9 +296,9 @@ class Bus:
         info = self.info()
         port = info.port
         return PortStatistics(
-            self._profile(), port.traits.allowance / NS, port.parity, port.octets_in, port.octets_out, port.echo_octets,
-            port.echo_errors, port.line_errors, info.cpu_time / NS, info.wakeups,
-            self.scheduling)
+            self._profile(), port.traits.allowance / NS, port.rate, port.parity, port.rs485, port.drains, port.low_latency,
+            port.fifo_trigger or None, _counters(port) if port.counted else None, port.octets_in, port.octets_out,
+            port.echo_octets, port.echo_errors, port.line_errors, info.cpu_time / NS, info.wakeups, self.scheduling)
 
     def _profile(self) -> str:
         names = {getattr(lib, f"DPM_PROFILE_{theirs}"): ours or "auto" for ours, theirs in _PROFILES.items()}

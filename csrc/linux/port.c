@@ -11,6 +11,8 @@
 #include <limits.h>
 #include <linux/serial.h>
 #include <poll.h>
+#include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 #include <sys/file.h>
 #include <sys/ioctl.h>
@@ -34,6 +36,13 @@ enum {
 #define SHORT INT64_C(250000)
 /* In the last bit of it even a look at the descriptors takes too long; they are looked at once more when it is over. */
 #define LAST INT64_C(5000)
+
+/* The end of a longer transmission is computed: at the rates where there are such, that is exact to a fraction of a bit,
+ * and the thread stays free. */
+#define MEASURED INT64_C(2000000)
+/* A FIFO that has not reached its trigger hands over after four characters' silence. Where that is longer than this, the
+ * first octet raises an interrupt; where it is not, an interrupt for each octet would cost more than it wins. */
+#define FIFO_WAIT INT64_C(200000)
 
 /* What the host may be late, by the kind of port. These are starting values for an idle desktop or a Raspberry Pi; a
  * program that has measured its own gives dpm_port_config.allowance. */
@@ -73,6 +82,7 @@ struct dpm_port {
     int64_t character;     /* ns of one character at the rate */
     int64_t spacing;       /* ns between octets read in one go */
     int64_t lag;           /* ns that octets may lie unseen in a FIFO */
+    struct serial_icounter_struct counted; /* by the driver, before the port was ours */
     dpm_marks marks;
     echo_filter echo;
     link_mark link;
@@ -138,20 +148,79 @@ static int set_line(dpm_port *port)
     if (ioctl(port->fd, TCSETS2, &line) < 0 || ioctl(port->fd, TCGETS2, &line) < 0)
         return errno == EINVAL ? DPM_E_SETTINGS : open_error(errno);
     uint64_t error = line.c_ospeed > rate ? line.c_ospeed - rate : rate - line.c_ospeed;
+    port->info.rate = line.c_ospeed;
     port->info.parity = (line.c_cflag & (PARENB | PARODD)) == PARENB;
-    if ((line.c_cflag & CSIZE) != CS8 || (line.c_cflag & (CSTOPB | CRTSCTS)) || error * 1000 > (uint64_t)rate * 3)
-        return DPM_E_SETTINGS; /* EN 50170: the rate is kept within 0.3 % */
+    if (error * 1000 > (uint64_t)rate * 3)
+        return DPM_E_RATE; /* EN 50170: the rate is kept within 0.3 % */
+    if ((line.c_cflag & CSIZE) != CS8 || (line.c_cflag & (CSTOPB | CRTSCTS)))
+        return DPM_E_SETTINGS;
     return port->info.parity || port->pty ? DPM_OK : DPM_E_SETTINGS;
 }
 
+/* Delays are whole milliseconds there, longer than a slot time: none. Some drivers take what they cannot do. */
+static int set_direction(dpm_port *port)
+{
+    const uint32_t mask = SER_RS485_ENABLED | SER_RS485_RTS_ON_SEND | SER_RS485_RTS_AFTER_SEND;
+    struct serial_rs485 now;
+    memset(&now, 0, sizeof now);
+    if (port->config.direction == DPM_DIRECTION_AUTO) {
+        port->info.rs485 = ioctl(port->fd, TIOCGRS485, &now) == 0 && (now.flags & SER_RS485_ENABLED);
+        return DPM_OK;
+    }
+    uint32_t level = port->config.direction == DPM_DIRECTION_RS485 ? SER_RS485_RTS_ON_SEND : SER_RS485_RTS_AFTER_SEND;
+    now.flags = SER_RS485_ENABLED | level;
+    if (ioctl(port->fd, TIOCSRS485, &now) < 0 || ioctl(port->fd, TIOCGRS485, &now) < 0)
+        return errno == EPERM || errno == EACCES ? DPM_E_PERMISSION : DPM_E_RS485;
+    port->info.rs485 = (now.flags & mask) == (SER_RS485_ENABLED | level);
+    return port->info.rs485 ? DPM_OK : DPM_E_RS485;
+}
+
 /* Drivers that gather octets deliver them at once, where they know how. */
-static void ask_low_latency(int fd)
+static void ask_low_latency(dpm_port *port)
 {
     struct serial_struct serial;
-    if (ioctl(fd, TIOCGSERIAL, &serial) == 0) {
-        serial.flags |= (int)ASYNC_LOW_LATENCY;
-        (void)ioctl(fd, TIOCSSERIAL, &serial);
+    memset(&serial, 0, sizeof serial);
+    if (ioctl(port->fd, TIOCGSERIAL, &serial) < 0)
+        return;
+    serial.flags |= (int)ASYNC_LOW_LATENCY;
+    (void)ioctl(port->fd, TIOCSSERIAL, &serial);
+    port->info.low_latency = ioctl(port->fd, TIOCGSERIAL, &serial) == 0 && (serial.flags & (int)ASYNC_LOW_LATENCY);
+}
+
+/* The 8250's receive FIFO; its file is root's, so an ordinary user only learns what is set (see the udev rule). */
+static void set_fifo_trigger(dpm_port *port, dev_t device)
+{
+    char path[64], text[16] = "";
+    (void)snprintf(path, sizeof path, "/sys/dev/char/%u:%u/rx_trig_bytes", major(device), minor(device));
+    if (4 * port->character > FIFO_WAIT) {
+        int fd = open(path, O_WRONLY | O_CLOEXEC);
+        ssize_t written = fd < 0 ? 0 : write(fd, "1", 1);
+        (void)written; /* what came of it is read below */
+        if (fd >= 0)
+            close(fd);
     }
+    int fd = open(path, O_RDONLY | O_CLOEXEC);
+    if (fd < 0)
+        return;
+    if (read(fd, text, sizeof text - 1) > 0)
+        port->info.fifo_trigger = atoi(text);
+    close(fd);
+}
+
+/* TIOCSER_TEMT: FIFO and shift register are empty. */
+static bool transmitter_empty(int fd)
+{
+    unsigned state = 0;
+    return ioctl(fd, TIOCSERGETLSR, &state) == 0 && (state & TIOCSER_TEMT);
+}
+
+/* What a driver of a real UART offers beyond its line. An adapter's answer would come over USB, later than it matters. */
+static void ask_driver(dpm_port *port, dev_t device)
+{
+    ask_low_latency(port);
+    port->info.drains = port->info.profile == DPM_PROFILE_UART && transmitter_empty(port->fd);
+    port->info.counted = ioctl(port->fd, TIOCGICOUNT, &port->counted) == 0;
+    set_fifo_trigger(port, device);
 }
 
 /* The lock ends with its holder, however that dies. TIOCEXCL does so only where the last close resets it: a hub holds
@@ -232,10 +301,12 @@ static int open_line(dpm_port *port)
     int code = lock_port(port);
     if (!code)
         code = set_line(port);
+    if (!code)
+        code = set_direction(port);
     if (code)
         return code;
     if (!port->pty)
-        ask_low_latency(port->fd);
+        ask_driver(port, status.st_rdev);
     (void)ioctl(port->fd, TCFLSH, TCIOFLUSH);
     port->marks.seen = 0;
     forget_echo(port);
@@ -299,7 +370,8 @@ int dpm_port_open(void *block, size_t size, const dpm_port_config *config, dpm_p
         return DPM_E_BLOCK;
     if (!config->path || !config->rate_num || !config->rate_den || config->profile < DPM_PROFILE_AUTO ||
         config->profile > DPM_PROFILE_PTY || config->echo < DPM_ECHO_AUTO || config->echo > DPM_ECHO_ON ||
-        config->pace < DPM_PACE_AUTO || config->pace > DPM_PACE_BAUD)
+        config->pace < DPM_PACE_AUTO || config->pace > DPM_PACE_BAUD ||
+        config->direction < DPM_DIRECTION_AUTO || config->direction > DPM_DIRECTION_RS485_INVERTED)
         return DPM_E_ARGUMENT;
     size_t length = strlen(config->path);
     if (length >= PATH_MAX)
@@ -329,7 +401,16 @@ int dpm_port_fd(const dpm_port *port)
 
 void dpm_port_get_info(const dpm_port *port, dpm_port_info *info)
 {
+    const struct serial_icounter_struct *then = &port->counted;
+    struct serial_icounter_struct now;
     *info = port->info;
+    if (!info->counted || ioctl(port->fd, TIOCGICOUNT, &now) < 0)
+        return;
+    info->driver.parity = (uint32_t)(now.parity - then->parity);
+    info->driver.framing = (uint32_t)(now.frame - then->frame);
+    info->driver.breaks = (uint32_t)(now.brk - then->brk);
+    info->driver.overruns = (uint32_t)(now.overrun - then->overrun);
+    info->driver.buffer_overruns = (uint32_t)(now.buf_overrun - then->buf_overrun);
 }
 
 /* ---- receiving ---- */
@@ -434,6 +515,38 @@ int dpm_port_read(dpm_port *port, dpm_machine *machine)
     return n > 0 ? (int)n : 0;
 }
 
+/* ---- waiting ---- */
+
+static int poll_for(struct pollfd fds[2], int64_t time)
+{
+    struct timespec timeout = {(time_t)(time / 1000000000), (long)(time % 1000000000)};
+    if (ppoll(fds, 2, &timeout, NULL) <= 0)
+        return 0;
+    return (fds[0].revents ? 1 : 0) | (fds[1].revents ? 2 : 0);
+}
+
+/* As dpm_port_wait, on any two descriptors; -1 is none. */
+static int wait_for(int fd, int wake_fd, int64_t deadline)
+{
+    struct pollfd fds[2] = {{fd, POLLIN, 0}, {wake_fd, POLLIN, 0}};
+    const int64_t spin = deadline - dpm_now() < SHORT ? SPIN : 0;
+    for (;;) {
+        int64_t left = deadline - dpm_now();
+        while (left > 0 && left < LAST)
+            left = deadline - dpm_now();
+        /* An hour at most, so that the time fits wherever time_t is small; the loop goes on. */
+        int64_t sleep = left - spin > INT64_C(3600000000000) ? INT64_C(3600000000000) : left - spin;
+        int mask = poll_for(fds, sleep > 0 ? sleep : 0);
+        if (mask || left <= 0)
+            return mask;
+    }
+}
+
+int dpm_port_wait(dpm_port *port, int wake_fd, int64_t deadline)
+{
+    return wait_for(port->fd, wake_fd, deadline);
+}
+
 /* ---- sending ---- */
 
 static void expect_echo(dpm_port *port, const uint8_t *octets, size_t n, int64_t end)
@@ -444,6 +557,22 @@ static void expect_echo(dpm_port *port, const uint8_t *octets, size_t n, int64_t
     memcpy(echo->octets, octets, n);
     echo->length = n;
     echo->due = end + port->info.traits.allowance;
+}
+
+/* Ask the driver for the end of a transmission. The thread has nothing else to do meanwhile: the line is ours. */
+static void await_end(dpm_port *port, int64_t *earliest, int64_t *latest)
+{
+    const int64_t limit = *latest + port->info.traits.allowance;
+    for (int64_t look = *earliest;; look = dpm_now() + port->character) {
+        (void)wait_for(-1, -1, look);
+        int64_t before = dpm_now();
+        bool empty = transmitter_empty(port->fd);
+        *latest = dpm_now();
+        port->info.drains = empty || before < limit; /* one that never tells is not asked again */
+        if (empty || !port->info.drains)
+            return;
+        *earliest = before;
+    }
 }
 
 int dpm_port_write(dpm_port *port, dpm_machine *machine, const uint8_t *octets, size_t n)
@@ -468,6 +597,8 @@ int dpm_port_write(dpm_port *port, dpm_machine *machine, const uint8_t *octets, 
         /* The first start bit went out while write was under way. */
         end_earliest = start + duration;
         end_latest += duration;
+        if (port->info.drains && duration <= MEASURED)
+            await_end(port, &end_earliest, &end_latest);
     } else if (port->config.pace == DPM_PACE_AUTO && start + duration > end_latest) {
         end_latest = start + duration;
     }
@@ -475,30 +606,4 @@ int dpm_port_write(dpm_port *port, dpm_machine *machine, const uint8_t *octets, 
     expect_echo(port, octets, (size_t)written, end_latest);
     machine->sent(machine, start, end_earliest, end_latest, (size_t)written < n ? DPM_SENT_CUT : DPM_SENT_WHOLE);
     return DPM_OK;
-}
-
-/* ---- waiting ---- */
-
-static int poll_for(struct pollfd fds[2], int64_t time)
-{
-    struct timespec timeout = {(time_t)(time / 1000000000), (long)(time % 1000000000)};
-    if (ppoll(fds, 2, &timeout, NULL) <= 0)
-        return 0;
-    return (fds[0].revents ? 1 : 0) | (fds[1].revents ? 2 : 0);
-}
-
-int dpm_port_wait(dpm_port *port, int wake_fd, int64_t deadline)
-{
-    struct pollfd fds[2] = {{port->fd, POLLIN, 0}, {wake_fd, POLLIN, 0}};
-    const int64_t spin = deadline - dpm_now() < SHORT ? SPIN : 0;
-    for (;;) {
-        int64_t left = deadline - dpm_now();
-        while (left > 0 && left < LAST)
-            left = deadline - dpm_now();
-        /* An hour at most, so that the time fits wherever time_t is small; the loop goes on. */
-        int64_t sleep = left - spin > INT64_C(3600000000000) ? INT64_C(3600000000000) : left - spin;
-        int mask = poll_for(fds, sleep > 0 ? sleep : 0);
-        if (mask || left <= 0)
-            return mask;
-    }
 }

@@ -9,7 +9,7 @@ from typing import Any
 
 from dpmaster import _arguments
 from dpmaster._core import block, check, ffi, lib
-from dpmaster.bus import port_error
+from dpmaster.bus import direction_code, port_error
 from dpmaster.emulator.card import Card
 from dpmaster.emulator.host import Host, bus_parameters, describe
 from dpmaster.errors import ConfigurationError, PortError
@@ -20,20 +20,21 @@ __all__ = ["Line"]
 
 class Line(Host):
     """Opens `port` at `baudrate` (bit/s) and answers there for `cards`, all of which must be known from the start: the
-    slaves' machine belongs to the bus thread from then on. `realtime` schedules that thread, as `Master`'s; what came of it is
-    in `scheduling`. Raises PortError when the port cannot be opened.
+    slaves' machine belongs to the bus thread from then on. `realtime` and `direction` are as `Master`'s; what came of the
+    first is in `scheduling`. Raises PortError when the port cannot be opened.
     """
 
     _room = "dpm_bus"
 
-    def __init__(self, port: str, *cards: Card, baudrate: int, realtime: Realtime | bool | None = None) -> None:
+    def __init__(self, port: str, *cards: Card, baudrate: int, realtime: Realtime | bool | None = None,
+                 direction: str | None = None) -> None:
         super().__init__()
         wished(realtime)
         if not cards:
             raise ConfigurationError("cards: a line needs at least one card")
         self._path = _arguments.path(port)
         parameters = bus_parameters(baudrate)
-        self._open(parameters, getattr(port, "paced", None))
+        self._open(parameters, getattr(port, "paced", None), direction_code(direction))
         try:
             self._make_slaves(parameters, len(cards))
             for card in cards:
@@ -48,9 +49,9 @@ class Line(Host):
             self._shut()
             raise
 
-    def _open(self, parameters: Any, paced: bool | None) -> None:
+    def _open(self, parameters: Any, paced: bool | None, direction: int) -> None:
         path = ffi.new("char[]", os.fsencode(self._path))
-        config = ffi.new("dpm_port_config *", {"path": path, "allowance": -1})
+        config = ffi.new("dpm_port_config *", {"path": path, "allowance": -1, "direction": direction})
         config.rate_num, config.rate_den = parameters.rate_num, parameters.rate_den
         config.pace = {None: lib.DPM_PACE_AUTO, False: lib.DPM_PACE_NONE, True: lib.DPM_PACE_BAUD}[paced]
         size = lib.dpm_bus_size()

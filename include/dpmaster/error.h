@@ -28,11 +28,13 @@ enum dpm_error {
     DPM_E_PERMISSION = -18, /* the port may not be opened by this user */
     DPM_E_IN_USE = -19,     /* somebody has the port already */
     DPM_E_NOT_TTY = -20,    /* the path is not a serial port */
-    DPM_E_SETTINGS = -21,   /* the port does not keep 8E1 or the rate */
+    DPM_E_SETTINGS = -21,   /* the port does not keep 8E1 */
     DPM_E_GONE = -22,       /* the port vanished */
     DPM_E_SYSTEM = -23,     /* the system refused; errno says why */
     DPM_E_DISCARDED = -24,  /* a commit that no telegram will carry any more: it was overtaken, or outputs went safe */
-    DPM_E_SLOT = -25        /* the slot time has no room for how late this host may wake */
+    DPM_E_SLOT = -25,       /* the slot time has no room for how late this host may wake */
+    DPM_E_RATE = -26,       /* the port does not make the rate */
+    DPM_E_RS485 = -27       /* the driver does not switch the direction */
 };
 
 /* English text for a code of enum dpm_error, never NULL. */
