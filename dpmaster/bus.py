@@ -74,7 +74,7 @@ class PortStatistics:
     profile: str
     allowance: float
     rate: int
-    """bit/s, as the driver says it makes."""
+    """bit/s, as far as it is known what the driver makes."""
     parity: bool
     rs485: bool
     """The driver switches the direction."""
@@ -111,7 +111,7 @@ _REMEDIES = {
 
 def port_error(path: str, code: int, **context: object) -> PortError:
     """Path, reason, the values concerned, remedy."""
-    base = _core.error(code, **context)
+    base = _core.error(code, "", **context)
     remedy = next((text for name, text in _REMEDIES.items() if getattr(lib, f"DPM_E_{name}") == code), "").format(path=path)
     return PortError(f"port {path}: {base}" + (f"; {remedy}" if remedy else ""), path=path, dpm_code=code,
                      errno=base.errno if isinstance(base, PortError) else None)

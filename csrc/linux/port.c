@@ -74,6 +74,7 @@ typedef struct link_mark {
 
 struct dpm_port {
     int fd;                /* -1: closed, or vanished */
+    dev_t device;
     dpm_port_config config;
     dpm_port_info info;
     bool pty;
@@ -131,6 +132,41 @@ static uint32_t nominal_rate(const dpm_port_config *config)
     return (uint32_t)(((uint64_t)config->rate_num + config->rate_den / 2) / config->rate_den);
 }
 
+/* Whether the kernel's driver of the port has one of these names. */
+static bool driven_by(const dpm_port *port, const char *const *names)
+{
+    char path[64], target[PATH_MAX];
+    (void)snprintf(path, sizeof path, "/sys/dev/char/%u:%u/device/driver", major(port->device), minor(port->device));
+    ssize_t n = readlink(path, target, sizeof target - 1);
+    if (n < 0)
+        return false;
+    target[n] = '\0';
+    const char *slash = strrchr(target, '/');
+    while (*names && strcmp(slash ? slash + 1 : target, *names))
+        names++;
+    return *names;
+}
+
+/* The rate behind the one that the driver says. The plain 8250 divides its clock by a whole number and yet tells what it
+ * was asked for; other drivers tell what they make. */
+static uint32_t real_rate(const dpm_port *port, uint32_t told)
+{
+    static const char *const plain[] = {"serial8250", "serial", "of_serial", NULL};
+    struct serial_struct serial;
+    memset(&serial, 0, sizeof serial);
+    if (port->pty || !told || ioctl(port->fd, TIOCGSERIAL, &serial) < 0 || serial.baud_base <= 0 || !driven_by(port, plain))
+        return told;
+    uint32_t base = (uint32_t)serial.baud_base, divisor = (base + told / 2) / told;
+    return divisor ? base / divisor : base;
+}
+
+/* The mini UART of the Raspberry Pi takes every setting and has no parity. */
+static bool keeps_parity(const dpm_port *port, tcflag_t flags)
+{
+    static const char *const without[] = {"bcm2835-aux-uart", NULL};
+    return (flags & (PARENB | PARODD)) == PARENB && !driven_by(port, without);
+}
+
 /* 8E1, raw, at the rate; then see what the driver made of it: some change silently what they cannot do. */
 static int set_line(dpm_port *port)
 {
@@ -147,10 +183,10 @@ static int set_line(dpm_port *port)
     line.c_cc[VTIME] = 0;
     if (ioctl(port->fd, TCSETS2, &line) < 0 || ioctl(port->fd, TCGETS2, &line) < 0)
         return errno == EINVAL ? DPM_E_SETTINGS : open_error(errno);
-    uint64_t error = line.c_ospeed > rate ? line.c_ospeed - rate : rate - line.c_ospeed;
-    port->info.rate = line.c_ospeed;
-    port->info.parity = (line.c_cflag & (PARENB | PARODD)) == PARENB;
-    if (error * 1000 > (uint64_t)rate * 3)
+    uint32_t real = real_rate(port, line.c_ospeed);
+    port->info.rate = real;
+    port->info.parity = keeps_parity(port, line.c_cflag);
+    if ((real > rate ? real - rate : rate - real) * UINT64_C(1000) > rate * UINT64_C(3))
         return DPM_E_RATE; /* EN 50170: the rate is kept within 0.3 % */
     if ((line.c_cflag & CSIZE) != CS8 || (line.c_cflag & (CSTOPB | CRTSCTS)))
         return DPM_E_SETTINGS;
@@ -188,10 +224,10 @@ static void ask_low_latency(dpm_port *port)
 }
 
 /* The 8250's receive FIFO; its file is root's, so an ordinary user only learns what is set (see the udev rule). */
-static void set_fifo_trigger(dpm_port *port, dev_t device)
+static void set_fifo_trigger(dpm_port *port)
 {
     char path[64], text[16] = "";
-    (void)snprintf(path, sizeof path, "/sys/dev/char/%u:%u/rx_trig_bytes", major(device), minor(device));
+    (void)snprintf(path, sizeof path, "/sys/dev/char/%u:%u/rx_trig_bytes", major(port->device), minor(port->device));
     if (4 * port->character > FIFO_WAIT) {
         int fd = open(path, O_WRONLY | O_CLOEXEC);
         ssize_t written = fd < 0 ? 0 : write(fd, "1", 1);
@@ -215,12 +251,12 @@ static bool transmitter_empty(int fd)
 }
 
 /* What a driver of a real UART offers beyond its line. An adapter's answer would come over USB, later than it matters. */
-static void ask_driver(dpm_port *port, dev_t device)
+static void ask_driver(dpm_port *port)
 {
     ask_low_latency(port);
     port->info.drains = port->info.profile == DPM_PROFILE_UART && transmitter_empty(port->fd);
     port->info.counted = ioctl(port->fd, TIOCGICOUNT, &port->counted) == 0;
-    set_fifo_trigger(port, device);
+    set_fifo_trigger(port);
 }
 
 /* The lock ends with its holder, however that dies. TIOCEXCL does so only where the last close resets it: a hub holds
@@ -264,9 +300,9 @@ int64_t dpm_pty_delivery(uint32_t rate_num, uint32_t rate_den)
 }
 
 /* What follows from the kind of port. */
-static void set_kind(dpm_port *port, dev_t device)
+static void set_kind(dpm_port *port)
 {
-    int kind = detect_profile(device);
+    int kind = detect_profile(port->device);
     int profile = port->config.profile ? port->config.profile : kind;
     port->pty = kind == DPM_PROFILE_PTY;
     port->marked = !port->pty || profile != DPM_PROFILE_PTY;
@@ -297,7 +333,8 @@ static int open_line(dpm_port *port)
         return open_error(errno);
     if (fstat(port->fd, &status) < 0 || ioctl(port->fd, TCGETS2, &line) < 0)
         return open_error(errno);
-    set_kind(port, status.st_rdev);
+    port->device = status.st_rdev;
+    set_kind(port);
     int code = lock_port(port);
     if (!code)
         code = set_line(port);
@@ -306,7 +343,7 @@ static int open_line(dpm_port *port)
     if (code)
         return code;
     if (!port->pty)
-        ask_driver(port, status.st_rdev);
+        ask_driver(port);
     (void)ioctl(port->fd, TCFLSH, TCIOFLUSH);
     port->marks.seen = 0;
     forget_echo(port);
@@ -606,4 +643,40 @@ int dpm_port_write(dpm_port *port, dpm_machine *machine, const uint8_t *octets, 
     expect_echo(port, octets, (size_t)written, end_latest);
     machine->sent(machine, start, end_earliest, end_latest, (size_t)written < n ? DPM_SENT_CUT : DPM_SENT_WHOLE);
     return DPM_OK;
+}
+
+/* Hand over what the kernel's buffer does not take at once. */
+static int write_all(dpm_port *port, const uint8_t *octets, size_t n, int64_t end)
+{
+    while (n) {
+        struct pollfd room = {port->fd, POLLOUT, 0};
+        struct timespec slice = {0, 10000000};
+        ssize_t written = write(port->fd, octets, n);
+        if (written < 0 && errno != EAGAIN && errno != EINTR)
+            return DPM_E_GONE;
+        if (dpm_now() > end)
+            return DPM_E_TIMEOUT;
+        if (written > 0) {
+            octets += written;
+            n -= (size_t)written;
+            port->info.octets_out += (uint64_t)written;
+        } else {
+            (void)ppoll(&room, 1, &slice, NULL);
+        }
+    }
+    return DPM_OK;
+}
+
+int dpm_port_measure(dpm_port *port, const uint8_t *octets, size_t n, int64_t limit, int64_t *duration)
+{
+    if (!port->info.drains)
+        return DPM_E_MODE;
+    const int64_t start = dpm_now();
+    int code = write_all(port, octets, n, start + limit);
+    while (!code && !transmitter_empty(port->fd))
+        code = dpm_now() - start > limit ? DPM_E_TIMEOUT : DPM_OK;
+    *duration = dpm_now() - start;
+    (void)ioctl(port->fd, TCFLSH, code ? TCIOFLUSH : TCIFLUSH);
+    port->echo.length = port->echo.matched = 0;
+    return code;
 }

@@ -57,7 +57,7 @@ typedef struct dpm_driver_counters {
 typedef struct dpm_port_info {
     int profile;
     dpm_port_traits traits;
-    uint32_t rate;            /* bit/s, as the driver says it makes */
+    uint32_t rate;            /* bit/s, as far as it is known what the driver makes */
     bool parity;              /* the driver kept even parity (a pty does not) */
     bool rs485;               /* the driver switches the direction */
     bool drains;              /* the driver tells when a transmission has ended; else that is computed */
@@ -93,6 +93,10 @@ DPM_API int dpm_port_read(dpm_port *port, dpm_machine *machine);
 /* Write one telegram with one write and report sent(); a driver that tells the end of a short one is waited for.
  * DPM_E_GONE when the port is. */
 DPM_API int dpm_port_write(dpm_port *port, dpm_machine *machine, const uint8_t *octets, size_t n);
+/* How long the driver takes to send these octets, from the first write to the end of the last stop bit, ns. For a line of
+ * one's own: it sends what it is given and waits for it, `limit` ns at most. What comes in meanwhile is dropped.
+ * DPM_E_MODE where the driver does not tell (dpm_port_info.drains), DPM_E_TIMEOUT, DPM_E_GONE. */
+DPM_API int dpm_port_measure(dpm_port *port, const uint8_t *octets, size_t n, int64_t limit, int64_t *duration);
 
 /* Wait until octets come, `wake_fd` is readable, or `deadline`, the last microseconds in a short spin.
  * Returns a mask: 1 octets (or the port is gone: read tells), 2 wake_fd; 0 the deadline. */
