@@ -18,7 +18,7 @@ SOURCES := $(shell find csrc include -name '*.[ch]') setup.py dpmaster/_build.py
 
 CORE     := $(wildcard csrc/core/*.c)
 LINUX    := $(wildcard csrc/linux/*.c)
-PROGRAMS := $(wildcard tests/bench/*.c tests/fuzz/*.c tests/uart/*.c)
+PROGRAMS := $(wildcard tests/bench/*.c tests/fuzz/*.c tests/uart/*.c tests/cross/*.c)
 CSTRICT  := -std=c11 -O2 -Iinclude -Icsrc -Wall -Wextra -Wshadow -Wconversion -Werror
 FUZZ     := $(patsubst tests/fuzz/%.c,build/fuzz/%,$(wildcard tests/fuzz/*.c))
 FUZZ_SECONDS ?= 30
@@ -26,12 +26,13 @@ FUZZ_SECONDS ?= 30
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
-.PHONY: help check demo test test-uart soak lint bench fuzz sanitize dist clean
+.PHONY: help check demo test test-uart cross soak lint bench fuzz sanitize dist clean
 
 help: check
 	@echo "make demo      start a drive on a virtual bus and watch it run"
 	@echo "make test      run the tests"
 	@echo "make test-uart the library on the UARTs of a real kernel: a PL011 and a 16550 in QEMU"
+	@echo "make cross     the library as arm64 and armhf under emulation, its core for a Cortex-M"
 	@echo "make lint      ruff, mypy --strict, gcc and clang with all warnings as errors"
 	@echo "make soak      the long proofs: random rings, and cycles with random faults, by the million"
 	@echo "make bench     measure the speed"
@@ -96,6 +97,9 @@ test: $(VENV)/.built $(VENV)/.test
 # Debian's arm64 kernel is fetched once, into build/uart. What the machine lacks is named, and the tests are skipped.
 test-uart: $(VENV)/.built $(VENV)/.test
 	$(PY) -m pytest tests/uart/uart.py $(ARGS)
+
+cross: $(VENV)/.built $(VENV)/.test
+	$(PY) -m pytest tests/cross/cross.py $(ARGS)
 
 # Longer proofs than a change has to wait for: 10 000 random rings, 10 000 cycles of a single master at each rate, a minute of
 # two masters side by side on ptys, and cycles with random faults, 10 million on virtual time and a million on a pty.

@@ -262,4 +262,4 @@ def test_make_alone_names_the_targets() -> None:
         pytest.skip(f"this system lacks something: {done.stdout}")
     assert done.returncode == 0, done.stderr
     targets = set(re.findall(r"^make (\w+)", done.stdout, flags=re.MULTILINE))
-    assert targets == {"demo", "test", "lint", "soak", "bench", "fuzz", "sanitize", "dist", "clean"}
+    assert targets == {"demo", "test", "cross", "lint", "soak", "bench", "fuzz", "sanitize", "dist", "clean"}

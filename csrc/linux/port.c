@@ -132,19 +132,23 @@ static uint32_t nominal_rate(const dpm_port_config *config)
     return (uint32_t)(((uint64_t)config->rate_num + config->rate_den / 2) / config->rate_den);
 }
 
-/* Whether the kernel's driver of the port has one of these names. */
+/* Whether the kernel's driver of the port has one of these names. Since Linux 6.5 two devices of the serial core lie between
+ * the port and the device that the driver drives. */
 static bool driven_by(const dpm_port *port, const char *const *names)
 {
-    char path[64], target[PATH_MAX];
-    (void)snprintf(path, sizeof path, "/sys/dev/char/%u:%u/device/driver", major(port->device), minor(port->device));
-    ssize_t n = readlink(path, target, sizeof target - 1);
-    if (n < 0)
-        return false;
-    target[n] = '\0';
-    const char *slash = strrchr(target, '/');
-    while (*names && strcmp(slash ? slash + 1 : target, *names))
-        names++;
-    return *names;
+    static const char *const above[] = {"", "/..", "/../.."};
+    for (size_t i = 0; i < sizeof above / sizeof *above; i++) {
+        char path[64], target[PATH_MAX];
+        (void)snprintf(path, sizeof path, "/sys/dev/char/%u:%u/device%s/driver", major(port->device), minor(port->device),
+                       above[i]);
+        ssize_t n = readlink(path, target, sizeof target - 1);
+        target[n < 0 ? 0 : n] = '\0';
+        const char *slash = strrchr(target, '/');
+        for (size_t j = 0; slash && names[j]; j++)
+            if (!strcmp(slash + 1, names[j]))
+                return true;
+    }
+    return false;
 }
 
 /* The rate behind the one that the driver says. The plain 8250 divides its clock by a whole number and yet tells what it

@@ -54,7 +54,7 @@ def fetch_kernel() -> None:
     (state / "status").touch()
     (state / "apt.conf").write_text(CONF.format(state))
     settings = {"env": os.environ | {"APT_CONFIG": str(state / "apt.conf")}, "cwd": BUILD}
-    run("apt-get", "update", "--quiet", **settings)
+    subprocess.run(["apt-get", "update", "--quiet"], capture_output=True, **settings)  # one list that fails is no matter
     fields = run("apt-cache", "show", "linux-image-arm64", **settings).splitlines()
     package = next(line for line in fields if line.startswith("Depends:")).split()[1]
     run("apt-get", "download", "--quiet", package, **settings)

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: MIT
+"""The library on other processors: arm64 and armhf under QEMU's user emulation, a Cortex-M for the core.
+
+``make cross`` runs it. On the two ARMs of embedded Linux a master and a slave exchange data on ptys, the two-thread programs
+race, and the core's own tests run in Debian's Python of that processor. What user emulation lacks (UARTs, termios2) is for
+uart.py, which boots a kernel. For a Cortex-M the core is compiled freestanding, and what it asks of its surroundings compared.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dpmaster._build import ffi
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+HERE = Path(__file__).resolve().parent
+BUILD = ROOT / "build" / "cross"
+SOURCES = sorted(ROOT.glob("csrc/*/*.c"))
+CORE = sorted(ROOT.glob("csrc/core/*.c"))
+INCLUDES = (f"-I{ROOT / 'include'}", f"-I{ROOT / 'csrc'}")
+WRAPPED = ("malloc", "calloc", "realloc", "aligned_alloc", "ioctl")
+# Telegrams, the receiver, parameters, images, events, the FDL station, the DP master and the DP slave: all on virtual time.
+CORE_TESTS = ("test_telegram", "test_receiver", "test_parameters", "test_identifier", "test_image", "test_event", "test_fdl",
+              "test_dp_master", "test_slave", "test_slave_services", "test_simulation")
+PACKAGES = ("python3-minimal", "libpython3-stdlib", "python3-cffi-backend", "libpython3-dev", "python3-pytest",
+            "python3-hypothesis", "python3-pytest-timeout")
+CONF = """APT::Architecture "{1}"; APT::Architectures {{ "{1}"; }}; APT::Sandbox::User "root";
+Dir::State "{0}"; Dir::State::Lists "{0}/lists"; Dir::State::status "{0}/status"; Dir::Cache "{0}";
+"""
+
+
+@dataclass(frozen=True)
+class Target:
+    debian: str
+    compiler: str
+    emulator: str
+    packages: str
+
+
+TARGETS = (Target("arm64", "aarch64-linux-gnu-gcc", "qemu-aarch64-static", "gcc-aarch64-linux-gnu libc6-dev-arm64-cross"),
+           Target("armhf", "arm-linux-gnueabihf-gcc", "qemu-arm-static", "gcc-arm-linux-gnueabihf libc6-dev-armhf-cross"))
+
+
+def run(*command: str | Path, timeout: float = 300, **settings: Any) -> str:
+    done = subprocess.run([str(word) for word in command], capture_output=True, text=True, timeout=timeout, **settings)
+    assert done.returncode == 0, f"{' '.join(map(str, command))}\n{done.stdout}{done.stderr}"
+    return done.stdout
+
+
+def require(programs: dict[str, str]) -> None:
+    """Skip, and say so, without these programs, each with its package."""
+    missing = [package for program, package in programs.items() if not shutil.which(program)]
+    if missing:
+        pytest.skip(f"not run: apt-get install {' '.join(missing)}")
+
+
+@pytest.fixture(params=TARGETS, ids=lambda target: target.debian)
+def target(request: pytest.FixtureRequest) -> Target:
+    found: Target = request.param
+    require({found.compiler: found.packages, found.emulator: "qemu-user-static"})
+    (BUILD / found.debian).mkdir(parents=True, exist_ok=True)
+    return found
+
+
+def build(target: Target, name: str, *arguments: str | Path) -> Path:
+    program = BUILD / target.debian / name
+    run(target.compiler, "-std=c11", "-O2", "-D_GNU_SOURCE", "-static", "-pthread", *INCLUDES, *arguments, "-o", program)
+    return program
+
+
+def test_a_master_and_a_slave_exchange_on_ptys(target: Target) -> None:
+    """Bus threads, futexes, eventfds and ptys of that processor's system calls; and still nothing is allocated."""
+    wraps = [f"-Wl,--wrap={name}" for name in WRAPPED]
+    program = build(target, "allocation", ROOT / "tests/allocation.c", HERE / "old_ioctl.c", *SOURCES, *wraps, "-fno-builtin")
+    exchanges, allocations = map(int, run(target.emulator, program).split())
+    assert exchanges >= 3000
+    assert allocations == 0
+
+
+@pytest.mark.parametrize(("race", "argument"), [("event", "16"), ("image", "1")])
+def test_two_threads_never_see_half_of_a_write(target: Target, race: str, argument: str) -> None:
+    program = build(target, race, ROOT / "tests/race" / f"{race}.c")
+    for _ in range(10):  # it says 75 when its threads have hardly met
+        done = subprocess.run([target.emulator, program, argument], capture_output=True, text=True, timeout=120)
+        if done.returncode != 75:
+            break
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def fetch_python(target: Target, root: Path) -> None:
+    """Debian's Python for the processor with what the tests need, unpacked into `root`."""
+    state = BUILD / target.debian / "apt"
+    for folder in ("lists/partial", "archives/partial"):
+        (state / folder).mkdir(parents=True, exist_ok=True)
+    (state / "status").touch()
+    (state / "apt.conf").write_text(CONF.format(state, target.debian))
+    settings = {"env": os.environ | {"APT_CONFIG": str(state / "apt.conf")}}
+    subprocess.run(["apt-get", "update", "--quiet"], capture_output=True, **settings)  # one list that fails is no matter
+    run("apt-get", "install", "--quiet", "--yes", "--download-only", "--no-install-recommends", *PACKAGES, **settings)
+    new = root.with_suffix(".new")
+    for archive in sorted((state / "archives").glob("*.deb")):
+        run("dpkg-deb", "--extract", archive, new)
+    shutil.rmtree(state)
+    new.rename(root)
+
+
+def build_package(target: Target, root: Path, place: Path) -> None:
+    """The package with its module for the processor, and the tests, as a tree of its own."""
+    shutil.rmtree(place, ignore_errors=True)
+    shutil.copytree(ROOT / "dpmaster", place / "dpmaster", ignore=shutil.ignore_patterns("*.so", "__pycache__"))
+    for name in ("tests", "include", "csrc"):
+        (place / name).symlink_to(ROOT / name)
+    (place / "pytest.ini").write_text("[pytest]\nmarkers = tree\n")  # not the tree's own: Debian's pytest is older
+    (place.parent / "shared").unlink(missing_ok=True)
+    if (ROOT.parent / "shared").exists():
+        (place.parent / "shared").symlink_to(ROOT.parent / "shared")
+    binding = place / "_dpm.c"
+    ffi.emit_c_code(str(binding))
+    (headers,) = (root / "usr/include").glob("python3.*")
+    run(target.compiler, "-shared", "-fPIC", "-std=c11", "-O2", "-D_GNU_SOURCE", "-DDPM_API=", "-DPy_LIMITED_API=0x030b0000",
+        f"-I{headers}", f"-I{root / 'usr/include'}", *INCLUDES, binding, *SOURCES, "-pthread",
+        "-o", place / "dpmaster" / "_dpm.abi3.so")
+
+
+@pytest.mark.timeout(1200)
+def test_the_core_s_tests_pass_in_python(target: Target) -> None:
+    folder = BUILD / target.debian
+    root, place = folder / "root", folder / "package"
+    if not root.exists():
+        try:
+            fetch_python(target, root)
+        except (AssertionError, OSError) as error:
+            pytest.skip(f"not run: no Python for {target.debian} to be had from apt: {error}")
+    build_package(target, root, place)
+    (python,) = (root / "usr/bin").glob("python3.*[0-9]")
+    ran = run(target.emulator, "-L", root, python, "-m", "pytest", "--quiet", "-p", "no:cacheprovider", "-W", "ignore",
+              *(f"tests/{name}.py" for name in CORE_TESTS), cwd=place, timeout=1200,
+              env=os.environ | {"PYTHONPATH": str(place), "PYTHONDONTWRITEBYTECODE": "1"})
+    print(ran)
+    assert " passed" in ran and "failed" not in ran
+
+
+@pytest.mark.parametrize("cpu", ["cortex-m3", "cortex-m4"])
+def test_the_core_builds_freestanding_for_a_cortex_m(cpu: str) -> None:
+    """design page: "it compiles for a microcontroller". Beside what every compiler calls by itself (memcpy and its like, the
+    arithmetic of 64 bits) it needs the two atomic functions of 64 bits, which a system without them makes by a short lock."""
+    require({"arm-none-eabi-gcc": "gcc-arm-none-eabi"})
+    place = BUILD / cpu
+    place.mkdir(parents=True, exist_ok=True)
+    objects = []
+    for source in CORE:
+        objects.append(place / f"{source.stem}.o")
+        run("arm-none-eabi-gcc", "-std=c11", "-Os", f"-mcpu={cpu}", "-mthumb", "-ffreestanding", "-isystem", HERE, *INCLUDES,
+            "-Wall", "-Wextra", "-Werror", "-c", source, "-o", objects[-1])
+    run("arm-none-eabi-ld", "-r", *objects, "-o", place / "core.o")
+    foreign = {line.split()[-1] for line in run("arm-none-eabi-nm", "--undefined-only", place / "core.o").splitlines()}
+    assert {name for name in foreign if not name.startswith("__aeabi_")} <= {
+        "memcpy", "memmove", "memset", "memcmp", "__atomic_load_8", "__atomic_store_8"}
+    code, data, bss = map(int, run("arm-none-eabi-size", place / "core.o").splitlines()[1].split()[:3])
+    print(f"{cpu}: {code} octets of code")
+    assert (data, bss) == (0, 0)
