@@ -61,6 +61,7 @@ typedef struct echo_filter {
     uint8_t heard[ECHO_MAX];
     uint8_t errors[ECHO_MAX];
     bool expected;         /* told so, or found */
+    int64_t end;           /* of the transmission */
     int64_t due;           /* what is not here by now does not come */
     int64_t earliest;      /* of the octets held */
     int64_t latest;
@@ -477,6 +478,10 @@ static void release(dpm_port *port, dpm_machine *machine)
     port->info.echo_octets += ours ? equal : 0;
     port->info.echo_errors += echo->expected && equal < length;
     echo->expected |= ours;
+    if (equal == length) {
+        port->info.echoes++;
+        port->info.echo_late = echo->latest - echo->end;
+    }
     forget_echo(port);
     if (held)
         give(port, machine, echo->heard, echo->errors, held, echo->earliest, echo->latest, ours);
@@ -597,6 +602,7 @@ static void expect_echo(dpm_port *port, const uint8_t *octets, size_t n, int64_t
         return;
     memcpy(echo->octets, octets, n);
     echo->length = n;
+    echo->end = end;
     echo->due = end + port->info.traits.allowance;
 }
 
@@ -681,6 +687,6 @@ int dpm_port_measure(dpm_port *port, const uint8_t *octets, size_t n, int64_t li
         code = dpm_now() - start > limit ? DPM_E_TIMEOUT : DPM_OK;
     *duration = dpm_now() - start;
     (void)ioctl(port->fd, TCFLSH, code ? TCIOFLUSH : TCIFLUSH);
-    port->echo.length = port->echo.matched = 0;
+    forget_echo(port);
     return code;
 }

@@ -68,6 +68,8 @@ typedef struct dpm_port_info {
     uint64_t octets_in;
     uint64_t octets_out;
     uint64_t echo_octets;     /* own octets heard back as they were sent */
+    uint64_t echoes;          /* transmissions heard back whole */
+    int64_t echo_late;        /* ns from the end of the last of them to its last octet: how late this host hears */
     uint64_t echo_errors;     /* echo expected, something else heard: a collision or a short */
     uint64_t line_errors;
 } dpm_port_info;
