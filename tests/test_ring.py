@@ -406,7 +406,7 @@ def test_an_own_token_that_comes_back_wrong_twice_is_the_transceivers_fault():
     bus.spoil(GARBLE, 1, 2)
     five, nine = bus.masters
     bus.wire.run(1 * MS, violation=False)
-    assert bus.told() == [0] and five.status.fdl.tokens_spoilt == 2
+    assert bus.told() == [0] and five.status.fdl.tokens_spoilt == 2 and five.las == {5}
     assert five.status.fdl_state == lib.DPM_FDL_LISTEN_TOKEN
     sent = five.status.fdl.tokens
     bus.wire.run(until=bus.wire.tap(1)[0].end + bus.wire.bits((6 + 2 * 5) * TSL) - 1, violation=False)
@@ -560,6 +560,8 @@ def test_a_host_that_wakes_late_needs_room_in_the_slot():
     assert Master(parameters=parameters, role=RING, allowance=2 * MS).result == lib.DPM_E_SLOT
     parameters.tsl = needed
     assert Master(parameters=parameters, role=RING, allowance=2 * MS).result == 0
+    assert Master(parameters=parameters, role=RING, allowance=1 * MS, delivery=1 * MS).result == 0
+    assert Master(parameters=parameters, role=RING, allowance=2 * MS, delivery=1 * MS).result == lib.DPM_E_SLOT
 
 
 def test_a_passive_station_never_sends_a_bit():
@@ -643,11 +645,11 @@ class Beside:
 @pytest.mark.parametrize("rate, allowance", [(500_000, 25 * MS), (500_000, 2 * MS), (93_750, 25 * MS), (9600, 25 * MS)])
 def test_a_sole_master_does_not_talk_over_an_idle_one_with_a_long_slot(rate, allowance):
     """Its Tto is of the standard Tsl; the other one, idle, says its token often enough for that."""
-    for seed in range(5):
+    for seed in range(6):
         bus = Beside(rate, allowance, seed)
         bus.wire.run(7 * seed * MS)
         bus.begin()
-        for _ in range(20):
+        for _ in range(20 * (seed % 2)):
             bus.owner.request(100, lib.DPM_FDL_STATUS)  # a slot of silence each
         bus.wire.run(3 * S)
         assert bus.guest.status.fdl.tokens == 0, "not one telegram"

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Many stations of ours in one ring, on the simulated segment, which watches every rule of the wire.
 
-Each run is made of its seed: the rate, 1 to 8 addresses, HSA, when each is switched on, off and on again. 200 runs belong to
-the tests, `make soak` makes 10 000 (DPM_SOAK_RUNS). A failure names the seed: `DPM_SOAK_SEED=2047 DPM_SOAK_RUNS=1`.
+Each run is made of its seed: the rate, 1 to 8 addresses, HSA, whether ports echo, when each is switched on, off and on again.
+200 runs belong to the tests, `make soak` makes 10 000 (DPM_SOAK_RUNS). A failure names the seed: `DPM_SOAK_SEED=2047
+DPM_SOAK_RUNS=1`.
 """
 
 from __future__ import annotations
@@ -23,13 +24,13 @@ RING = lib.DPM_ROLE_RING
 class Ring:
     """Masters of ours, in Stop, on a wire of their own; all without power."""
 
-    def __init__(self, rate: int, addresses: list[int], *, hsa: int = 126, tap: int = 64, grace: int = 20) -> None:
+    def __init__(self, rate: int, addresses: list[int], *, hsa: int = 126, tap: int = 64, grace: int = 20, echo: bool = False) -> None:
         parameters = default_parameters(rate)
         parameters.hsa = hsa
         self.tsl = int(lib.dpm_bits_up(parameters, parameters.tsl))
         self.masters = [Master(parameters=parameters, address=a, slaves=2, role=RING) for a in addresses]
         self.wire = Simulation(parameters, ports=16, tap=tap, grace=grace * self.tsl)
-        self.ports = [self.wire.attach(master) for master in self.masters]
+        self.ports = [self.wire.attach(master, echo=echo) for master in self.masters]
         self.on = [False] * len(addresses)
         self.addresses = addresses
         self.coincidences = 0
@@ -97,7 +98,7 @@ def one_run(seed: int) -> Ring:
     """A ring from its seed: it forms, and then 500 rotations without one broken rule."""
     rng = random.Random(seed)
     rate, addresses = rng.choice(RATES), rng.sample(range(126), rng.randint(1, 8))
-    ring = Ring(rate, addresses, hsa=max(addresses) if rng.random() < 0.5 else 126)
+    ring = Ring(rate, addresses, hsa=max(addresses) if rng.random() < 0.5 else 126, echo=seed % 2 == 1)
     switches = [(rng.randrange(200 * ring.tsl), i) for i in range(len(addresses))]
     switches += [(rng.randrange(4000 * ring.tsl), rng.randrange(len(addresses))) for _ in range(rng.randint(0, 6))]
     for time, i in sorted(switches):

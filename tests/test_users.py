@@ -124,6 +124,15 @@ def test_in_a_ring_everybody_has_a_turn_however_short_ttr_is(ttr):
     assert abs(shares[0] - shares[1]) <= 1
 
 
+def test_a_lone_master_keeps_the_hold_time_too():
+    """With a cycle longer than Ttr it says its token in between; the onlooker watches."""
+    bus = Loaded(ttr=3000)
+    cycle = bus.master.status.cycle
+    bus.wire.run(200 * MS)
+    bus.wire.check()
+    assert bus.master.status.cycle > cycle + 5
+
+
 # --- off the bus -----------------------------------------------------------------------------------------------------------
 
 
