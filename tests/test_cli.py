@@ -141,6 +141,8 @@ def test_python_dash_m_is_the_same_program() -> None:
 @pytest.mark.parametrize("argv", [
     ["emulate", "si-p1", "--address", "0"], ["segment", "--ports", "0", "--link", "no-such-directory"],
     ["segment", "--ports", "65", "--link", "no-such-directory"], ["decode", "zz"],
+    ["emulate", "si-p3", "--address", "126"], ["emulate", "si-p3", "--address", "5", "--set", "F6-33=2"],
+    ["emulate", "si-p1", "--address", "5", "--set", "F6-33=1"],
 ])
 def test_arguments_that_break_a_rule_are_one_line_and_2(argv: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(argv) == 2

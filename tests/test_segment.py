@@ -512,11 +512,12 @@ def answers(client: Client) -> None:
         assert time.monotonic() < deadline, "no answer"
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_emulate_on_a_pty_of_its_own(number: signal.Signals, tmp_path: Path, run: Callable[..., Command],
+@pytest.mark.parametrize(("number", "card"), [
+    (signal.SIGTERM, ["si-p1", "--set", "n019=50"]), (signal.SIGINT, ["si-p3", "--set", "F6-33=1"])])
+def test_emulate_on_a_pty_of_its_own(number: signal.Signals, card: list[str], tmp_path: Path, run: Callable[..., Command],
                                      open_port: Callable[..., Client]) -> None:
     link = tmp_path / "drive"
-    command = run("emulate", "si-p1", "--address", 5, "--link", link)
+    command = run("emulate", *card, "--address", 5, "--link", link)
     path = command.line()
     assert os.readlink(link) == path and path.startswith("/dev/pts/")
     answers(open_port(str(link)))

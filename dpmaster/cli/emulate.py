@@ -13,7 +13,7 @@ from typing import Any
 from dpmaster.cli import _console as console
 from dpmaster.cli import _links as links
 from dpmaster.emulator import Card, Habits, Host, Line, Segment
-from dpmaster.emulator.cards import SIP1, GenericSlave
+from dpmaster.emulator.cards import SIP1, SIP3, GenericSlave
 from dpmaster.errors import ConfigurationError
 
 NAME = "emulate"
@@ -25,6 +25,7 @@ RATE = 500_000  # bit/s of --on without --baudrate
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     cards = parser.add_subparsers(metavar="CARD", dest="card", required=True)
     _add(cards, "si-p1", "Yaskawa V7 with SI-P1", _sip1_arguments)
+    _add(cards, "si-p3", "Yaskawa V1000 or A1000 with SI-P3", _sip3_arguments)
     _add(cards, "generic", "any slave, described by ident number and configuration, with a console", _generic_arguments)
     _add(cards, "gsd", "any slave, described by its GSD file, with a console", _gsd_arguments)
 
@@ -43,9 +44,38 @@ def _add(cards: argparse._SubParsersAction[argparse.ArgumentParser], name: str, 
 
 
 def _sip1_arguments(parser: argparse.ArgumentParser) -> None:
+    _drive_arguments(parser, "n019=50")
+    parser.set_defaults(make=_sip1)
+
+
+def _sip3_arguments(parser: argparse.ArgumentParser) -> None:
+    _drive_arguments(parser, "F6-33=1")
+    parser.set_defaults(make=lambda args: SIP3(args.address, parameters=args.parameters, settings=_settings(args.settings)))
+
+
+def _drive_arguments(parser: argparse.ArgumentParser, example: str) -> None:
     parser.add_argument("--parameters", choices=["commissioned", "factory"], default="commissioned",
                         help="the drive's parameters: ready for the bus (default), or as it leaves the factory")
-    parser.set_defaults(make=lambda args: SIP1(args.address, parameters=args.parameters))
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=COUNT", dest="settings",
+                        help=f"set one of them beforehand, as with the keypad: {example}; once more for each further one")
+
+
+def _settings(given: list[str]) -> dict[str, int]:
+    found = {}
+    for setting in given:
+        name, _, count = setting.partition("=")
+        try:
+            found[name.strip()] = int(count, 0)
+        except ValueError:
+            raise ConfigurationError(f"--set {setting}: NAME=COUNT, the count a whole number") from None
+    return found
+
+
+def _sip1(args: argparse.Namespace) -> Card:
+    card = SIP1(args.address, parameters=args.parameters)
+    for name, count in _settings(args.settings).items():
+        card.registers[name] = count
+    return card
 
 
 def _gsd_arguments(parser: argparse.ArgumentParser) -> None:

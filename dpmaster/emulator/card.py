@@ -87,6 +87,8 @@ class Exchange:
     """How often the slave's watchdog has run out."""
     address: int | None = None
     """The station address, which Set_Slave_Add may have changed."""
+    baudrate: int = 12_000_000
+    """bit/s of the wire."""
 
 
 class Slave(Protocol):

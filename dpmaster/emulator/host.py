@@ -69,11 +69,11 @@ class Slot:
     """A card, its slave and the images between them."""
 
     card: Card
+    exchange: Exchange
     memory: tuple[Any, Any]
     outputs: Any
     inputs: Any
     index: int = -1
-    exchange: Exchange = field(default_factory=Exchange)
     octets: bytes | None = None
     next: float = 0.0
     failed: bool = False
@@ -104,7 +104,7 @@ class Slot:
         return Exchange(
             state=SlaveState(report.state), outputs=bytes(ffi.buffer(frame.octets, frame.length)), valid=bool(frame.valid),
             number=frame.number, configuration=report.configuration, master=None if report.master < 0 else report.master,
-            watchdog_expired=report.watchdog_expired, address=report.address,
+            watchdog_expired=report.watchdog_expired, address=report.address, baudrate=self.exchange.baudrate,
         )
 
     def store(self) -> None:
@@ -199,6 +199,7 @@ def slave_config(card: Card) -> Any:
 class Host(ABC):
     """Cards and the thread of their applications. A sub-class opens what the slaves answer on and closes it."""
 
+    _rate: int  # bit/s of the wire
     _room: str  # the library's room whose functions carry this host: "dpm_segment" or "dpm_bus"
 
     def __init__(self) -> None:
@@ -236,7 +237,7 @@ class Host(ABC):
         config = slave_config(card)
         size = lib.dpm_image_size()
         memory = block(size), block(size)
-        slot = Slot(card, memory, *(lib.dpm_image_init(at, size) for at in memory))
+        slot = Slot(card, Exchange(baudrate=self._rate), memory, *(lib.dpm_image_init(at, size) for at in memory))
         with self._lock:
             if any(other.card.address == card.address for other in self._slots):
                 raise ConfigurationError(f"{describe(card)}: the address is taken here; choose another")
@@ -277,6 +278,9 @@ class Host(ABC):
         with self._lock:
             check(self._call("slave_reset", slot.index), f"reset {describe(card)}")
             card.reset(time.monotonic())
+            if card.address != self.report(card).address:  # a switch or a parameter that is read at power-up
+                check(self._call("slave_set_address", slot.index, card.address, card.address_locked),
+                      f"{describe(card)}: address")
             slot.next = 0.0
 
     def set_address(self, card: Card, address: int, *, locked: bool = False) -> None:

@@ -34,6 +34,7 @@ class Line(Host):
             raise ConfigurationError("cards: a line needs at least one card")
         self._path = _arguments.path(port)
         parameters = bus_parameters(baudrate)
+        self._rate = baudrate
         self._open(parameters, getattr(port, "paced", None), direction_code(direction))
         try:
             self._make_slaves(parameters, len(cards))

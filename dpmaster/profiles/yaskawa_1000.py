@@ -445,6 +445,8 @@ YASKAWA_1000 = Table([
 ])
 """What the card's manual names, and what the emulated drive needs to turn."""
 
+COMMANDS = range(0x0001, 0x0020)
+"""Registers of commands."""
 MONITORS = range(0x0020, 0x0100)
 """Registers that can only be read."""
 MONITOR_COPIES: Mapping[int, int] = MappingProxyType({

@@ -1,0 +1,1084 @@
+# SPDX-License-Identifier: MIT
+"""The SI-P3 option card in a Yaskawa V1000 or A1000: conventional maps and PPOs, MEMOBUS and PKW, faults, LEDs, the drive.
+
+Behaviour is that of the option's technical manual, SIEP C730600 42. Everything happens inside `step`, on the time that the
+host gives; a lock lets a program look at `registers`, `motor` and the rest while the host's thread steps.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import random
+import threading
+from collections.abc import Iterator, Mapping, MutableMapping, Set
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Literal
+
+from dpmaster.emulator.card import Card, Exchange, Slave, SlaveState
+from dpmaster.emulator.motor import Motor
+from dpmaster.errors import ConfigurationError
+from dpmaster.profiles import pkw, ppo
+from dpmaster.profiles import yaskawa_1000 as profile
+from dpmaster.profiles.pkw import Refusal, Responder, Value
+from dpmaster.profiles.ppo import ControlWord, StatusWord
+from dpmaster.profiles.yaskawa import (
+    HS,
+    WD_MODULUS,
+    WD_PERIOD,
+    WD_SHIFT,
+    Access,
+    AccessCode,
+    ChannelMap,
+    Configuration,
+    FrequencyUnit,
+    Function,
+    Transfer,
+    get_word,
+)
+from dpmaster.profiles.yaskawa_1000 import INIT, LAST_REGISTER, YASKAWA_1000, Command, Condition, LEDs, Status, Table
+
+INITIALISATION = 0.1
+"""Seconds from power-up until the card has read its parameters: the drive is not ready."""
+SENDING = 0.002
+"""Seconds that STATUS stays 01; the drive's own 10 to 15 ms follow as 10."""
+SCAN = 0.010
+"""Seconds between two looks at a ramp under way."""
+IDLE = 1.0
+"""Seconds between two steps while nobody exchanges data."""
+
+_HISTORY = 10
+"""Faults that PNU 947 remembers."""
+_DC_BUS, _DC_BUS_UNDERVOLTAGE, _RATED_VOLTAGE = 311, 150, 200
+"""Volts of a 200 V class drive."""
+
+_NO_COMMAND = Command(0)
+_NOTHING_TOLD = (b"", True)  # diagnosis and readiness as a slave has them from the start
+
+_log = logging.getLogger(__name__)
+
+
+class Registers(MutableMapping[int | str, int]):
+    """The drive's registers as a person with the keypad sees them, 0000h to 0600h.
+
+    A name ("C1-01") stands for the parameter's count, with its sign and its limits, a number for the raw word. What is
+    set here is in force and stored at once; what the bus writes is in force after an Enter command, and stored with the
+    one to ROM. 0020h to 00FFh are monitors; setting one pins it until ``del`` frees it, for tests of the other side.
+    Registers without a parameter are mere room: they keep what was written until the power is cycled.
+    """
+
+    def __init__(self, card: SIP3, table: Table) -> None:
+        self._card = card
+        self._table = table
+        self._words: dict[int, int] = {}
+        self._active: dict[int, int] = {}
+        self._settings: dict[str, int] = {}
+        self._stored = {address: word for name in table for address, word in self._split(name, table[name].default)
+                        if address not in profile.MONITORS}
+        self.recall()
+
+    def __getitem__(self, key: int | str) -> int:
+        if parameter := self._named(key):
+            word = 0
+            for address in parameter.registers:
+                word = word << 16 | self.word(address)
+            return parameter.count(word)
+        return self.word(self._address(key))
+
+    def __setitem__(self, key: int | str, value: int) -> None:
+        low, high = self.limits(key)
+        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+            raise ConfigurationError(f"{key} = {value!r}: the register takes {low} to {high}")
+        words = dict(self._split(key, value) if self._named(key) else [(self._address(key), value)])
+        with self._card._lock:
+            self._words |= words
+            self._take(words.keys() & self._active.keys(), store=True)
+
+    def __delitem__(self, key: int | str) -> None:
+        """Back to the factory's value; a pinned monitor lives again."""
+        address = self._address(key)
+        parameter = self._table.at(address)
+        if parameter and parameter.access != "r":
+            self[parameter.name] = parameter.default
+        else:
+            with self._card._lock:
+                self._words.pop(address, None)
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(range(LAST_REGISTER + 1))
+
+    def __len__(self) -> int:
+        return LAST_REGISTER + 1
+
+    def limits(self, key: int | str) -> tuple[int, int]:
+        """Lowest and highest count of a parameter; of a number that is no parameter's, of the word."""
+        parameter = self._named(key)
+        if parameter is None:
+            parameter = self._table.at(self._address(key))
+            if parameter is None or parameter.double or parameter.minimum < 0:
+                return 0, 0xFFFF
+        return parameter.minimum, parameter.maximum
+
+    def word(self, address: int) -> int:
+        """The raw word at an address, as the bus reads it."""
+        with self._card._lock:
+            if address in self._words:
+                return self._words[address]
+            return self._card._monitor(address) if address in profile.MONITORS else 0
+
+    def write(self, address: int, words: list[int]) -> None:
+        """What the bus writes: to be read back at once, in force after `enter`."""
+        self._words.update(enumerate(words, address))
+
+    def setting(self, name: str) -> int:
+        """What is in force of a parameter of one word; `name` as the table writes it."""
+        if name not in self._settings:  # most are asked for many times between two Enter commands
+            parameter = self._table[name]
+            self._settings[name] = parameter.count(self._active[parameter.register])
+        return self._settings[name]
+
+    def enter(self, store: bool) -> None:
+        """The Enter command: what was written comes into force, and with `store` outlives the power."""
+        self._take(self._active.keys(), store)
+
+    def _take(self, addresses: Set[int], store: bool) -> None:
+        self._active |= {address: self._words[address] for address in addresses}
+        self._settings.clear()
+        if self.setting("A1-03") in (2220, 3330):
+            self._initialise()
+        if store:
+            self._stored |= {address: self._active[address] for address in addresses}
+
+    def recall(self) -> None:
+        """What power-up finds."""
+        self._active = dict(self._stored)
+        self._words = dict(self._stored)
+        self._settings.clear()
+
+    def _initialise(self) -> None:
+        """A1-03: the factory's values, without F6 and F7 unless F6-08 says so. A1-02 is never initialised."""
+        kept = ("A1-02",) if self.setting("F6-08") else ("A1-02", "F6-", "F7-")
+        for name in self._table:
+            if self._table[name].access != "r" and (not name.startswith(kept) or name == "A1-03"):
+                self._active.update(self._split(name, self._table[name].default))
+        self._words |= self._active
+        self._stored |= self._active
+        self._settings.clear()
+
+    def _named(self, key: int | str) -> profile.Parameter | None:
+        """The parameter when `key` is its name."""
+        return self._table.get(key) if isinstance(key, str) else None
+
+    def _split(self, name: int | str, count: int) -> list[tuple[int, int]]:
+        """Addresses and words of a parameter's count, the high word first."""
+        registers = self._table[str(name)].registers
+        return [(address, count >> 16 * (registers[-1] - address) & 0xFFFF) for address in registers]
+
+    def _address(self, key: int | str) -> int:
+        address = self._table.register(key)
+        if address > LAST_REGISTER:
+            raise ConfigurationError(f"register {key!r}: the drive has 0000h to {LAST_REGISTER:04X}h")
+        return address
+
+
+@dataclass(frozen=True, slots=True)
+class Orders:
+    """What the bus wants of the drive, whichever words it says it with."""
+
+    direction: int = 0
+    """+1, -1 or 0."""
+    reference: float = 0.0
+    """Hz, without sign."""
+    baseblock: bool = False
+    external_fault: bool = False
+    reset: bool = False
+    """Level of the fault reset bit."""
+    history_reset: bool = False
+    terminals: Command = _NO_COMMAND
+    """Input terminals S3 to S8 that the bus closes."""
+    local: bool = False
+    """STW bit 10 is 0."""
+
+
+class SIP3(Card):
+    """A V1000 or A1000 drive with its PROFIBUS card.
+
+    `parameters` is "commissioned" (b1-01 = b1-02 = 3, and F6-32 follows the configuration that the master chooses) or
+    "factory" (the manual's defaults: the drive ignores the bus, the card takes PPOs only). `settings` are counts of
+    parameters by name that differ from that, ``{"F6-33": 1}``; with an F6-32 among them the card takes only configurations
+    of its kind, as they are when it is attached. F6-30 is `address`: outside 1..125 an error, below 3 a warning. F6-30 and
+    F6-33 are read at power-up.
+
+    `table` is the drive's parameters, for a program's own ``YASKAWA_1000.extended([...])``. `size` is the drive's, kW: up
+    to 7.5 a count of current is 0.01 A, above 0.1 A; by default the motor's rated power. `seed` settles how long the
+    drive takes over each parameter access.
+
+    State to read at any time: `motor`, `registers`, `running`, `status`, `outputs`, `inputs`, `analog_outputs`, `fault`,
+    `alarms`, `history`, `leds`, `frequency_reference`, `torque_reference`, `diagnosis`. Conditions to set:
+    `undervoltage`, `storing`, `pulse_count`, `analog_input`, `inject`.
+    """
+
+    ident_number: int = profile.IDENT_NUMBER
+    configurations: tuple[bytes, ...] = tuple(c.identifier for c in profile.CONFIGURATIONS)
+    user_parameters: tuple[int, int] = (len(profile.USER_PARAMETERS),) * 2
+    fail_safe: bool = True
+    sync: bool = True
+    freeze: bool = True
+    set_address: bool = True
+    min_slave_interval: int = profile.MIN_SLAVE_INTERVAL
+    max_diagnosis: int = 11
+
+    def __init__(self, address: int, *, parameters: Literal["commissioned", "factory"] = "commissioned",
+                 settings: Mapping[str, int] = MappingProxyType({}), table: Table = YASKAWA_1000,
+                 motor: Motor | None = None, size: float | None = None, seed: int | None = None) -> None:
+        if warning := profile.check_address(address):
+            _log.warning("%s", warning)
+        if parameters not in ("commissioned", "factory"):
+            raise ConfigurationError(f"parameters {parameters!r}: give 'commissioned' or 'factory'")
+        self._address = address
+        self.motor = motor or Motor()
+        self.size = self.motor.rated_power / 1000 if size is None else size
+        if isinstance(self.size, bool) or not isinstance(self.size, (int, float)) or not 0 < self.size <= 1000:
+            raise ConfigurationError(f"size {size!r} kW: above 0 and up to 1000")
+        self.undervoltage = False
+        """Main circuit undervoltage: the output is off, writing is refused, bit 24 of the diagnosis is set."""
+        self.storing = False
+        """The drive is storing parameter data: writing is refused."""
+        self.pulse_count = 0
+        """PG pulse count of channel 1, as the word of the bus shows it."""
+        self.analog_input = 0
+        """Analogue input channel 1, as the word of the bus shows it."""
+        self.history: list[tuple[str, int]] = []
+        """The last ten faults, the newest first: name, and seconds since the one before or since power-up."""
+        self._lock = threading.RLock()
+        self._random = random.Random(address if seed is None else seed)
+        self._injected: str | None = None
+        self._powered: float | None = None
+        self._assigned: dict[int, tuple[int, ...]] = {
+            profile.PNU_ASSIGN_WRITE: profile.ASSIGNED_WRITE, profile.PNU_ASSIGN_READ: profile.ASSIGNED_READ}
+        self._assigned_stored = dict(self._assigned)
+        self._told = _NOTHING_TOLD
+        self._numbers = _Numbers(self)
+        self.registers = Registers(self, table)
+        self._set_up(parameters, dict(settings))
+        self._forget()
+
+    def _set_up(self, parameters: str, settings: dict[str, int]) -> None:
+        """The parameters as commissioning left them."""
+        fixed = parameters == "factory" or any(name.casefold() == "f6-32" for name in settings)
+        commissioned = profile.COMMISSIONED if parameters == "commissioned" else {}
+        for name, count in {**commissioned, **settings, "F6-30": self._address}.items():
+            self.registers[name] = count
+        self._fixed_map = fixed
+        if fixed:
+            wanted = profile.PPO_MODULES if self.registers["F6-32"] == 0 else profile.CONVENTIONAL
+            self._modules: tuple[Configuration | profile.PPOModule, ...] = wanted
+            self.configurations = tuple(module.identifier for module in wanted)
+        else:
+            self._modules = profile.CONFIGURATIONS
+
+    def _forget(self) -> None:
+        """What power-up finds: nothing that only memory held."""
+        self.registers.recall()
+        self._assigned = dict(self._assigned_stored)
+        self._address = self.registers.setting("F6-30") or self._address
+        self._index_size: pkw.IndexSize = "byte" if self.registers.setting("F6-33") else "word"
+        self._now = 0.0
+        self._exchange = Exchange()
+        self._established = False
+        self._timed_out = False
+        self._fault: str | None = None
+        self._alarm: str | None = None
+        self._since_fault = 0.0
+        self._orders = Orders()
+        self._armed = True
+        self._edges = (False, False)
+        self._held = self._octets = self._shown = b""
+        self._layout = self._modules[0]
+        self._job: _Channel | Responder = self._responder()
+
+    def _responder(self) -> Responder:
+        return Responder(lambda task: pkw.serve(task, self._numbers, profile.PKW_SUBSTITUTES),
+                         lambda: SENDING + self._random.uniform(0.010, 0.015), self._index_size)
+
+    @property
+    def address(self) -> int:
+        """The node address: F6-30 as it was at power-up, or what a Set_Slave_Add has put there since."""
+        return self._address
+
+    @address.setter
+    def address(self, address: int) -> None:
+        if address != self._address:
+            self._address = address
+            if address <= YASKAWA_1000["F6-30"].maximum:
+                self.registers["F6-30"] = address
+
+    # -- What a program reads and does -----------------------------------------------------------------------------
+
+    @property
+    def running(self) -> bool:
+        """Whether the drive feeds the motor, slowing down included."""
+        return self.motor.powered
+
+    @property
+    def frequency_reference(self) -> float:
+        """Hz, the reference that the drive follows, without sign."""
+        with self._lock:
+            return self._reference()
+
+    @property
+    def torque_reference(self) -> float:
+        """Per cent: torque reference or limit from the bus, 0 unless F6-06 and the control method (A1-02) make use of it."""
+        with self._lock:
+            enabled = self.registers.setting("F6-06") and self.registers.setting("A1-02") in (3, 6, 7)
+            return ppo.signed(self.registers.word(4)) * profile.TORQUE_UNIT if enabled else 0.0
+
+    @property
+    def fault(self) -> str | None:
+        """The fault on the drive's display ("bUS", "EF0", "oFA30", ..., table 16), None when there is none."""
+        return self._fault
+
+    @property
+    def alarms(self) -> frozenset[str]:
+        """What flashes on the drive's display: "bb", "CALL" (table 17), "bUS" or "EF0" where they are set to alarm only."""
+        with self._lock:
+            shown = (("bb", self._baseblocked), ("CALL", self._calls), (self._alarm or "", self._alarm))
+            return frozenset(name for name, there in shown if there)
+
+    @property
+    def inputs(self) -> dict[str, bool]:
+        """Input terminals S3 to S8 as the bus closes them."""
+        return {name: bool(self._orders.terminals & flag) for name, flag in profile.INPUT_TERMINALS.items()}
+
+    @property
+    def outputs(self) -> dict[str, bool]:
+        """Output terminals M1-M2, P1 and P2: closed or not, by their functions H2-01 to H2-03."""
+        with self._lock:
+            return {name: self._terminal(name) for name in profile.OUTPUT_TERMINALS}
+
+    @property
+    def analog_outputs(self) -> dict[str, int | None]:
+        """Analogue outputs FM and AM as the bus sets them; None where H4-01 or H4-04 give them to a monitor."""
+        with self._lock:
+            return {name: None if self.registers.setting(function) else self.registers.word(register)
+                    for name, function, register in (("FM", "H4-01", 7), ("AM", "H4-04", 8))}
+
+    @property
+    def leds(self) -> LEDs:
+        """The indicators at the front, as table 4 prints them."""
+        with self._lock:
+            return profile.LED_ROWS[self._row()]
+
+    @property
+    def diagnosis(self) -> bytes:
+        """The block behind the six standard octets: undervoltage, inverter communication, illegal PNU 915 or 916."""
+        with self._lock:
+            conditions = (
+                (Condition.UNDERVOLTAGE, self.undervoltage),
+                (Condition.INVERTER_COMMUNICATION, self._injected),
+                (Condition.ILLEGAL_PNU_915, self._illegal(profile.PNU_ASSIGN_WRITE, profile.ASSIGNABLE_WRITE)),
+                (Condition.ILLEGAL_PNU_916, self._illegal(profile.PNU_ASSIGN_READ, profile.ASSIGNABLE_READ)),
+            )
+            return profile.diagnosis(Condition(sum(condition for condition, there in conditions if there)))
+
+    def _illegal(self, pnu: int, legal: frozenset[int]) -> bool:
+        return any(register and register not in legal for register in self._assigned[pnu])
+
+    def inject(self, fault: str) -> None:
+        """Break the card or its connection: oFA00, oFA01, oFA30 to oFA43, oFb00, oFb02, oFc00 or oFc02. Only a power cycle
+        (`reset`) mends it."""
+        if fault not in profile.FAULTS or not fault.startswith("oF"):
+            raise ConfigurationError(f"fault {fault!r}: inject oFA00, oFA01, oFA30 to oFA43, oFb00, oFb02, oFc00 or oFc02; "
+                                     "bUS and EF0 come from the bus")
+        with self._lock:
+            self._injected = fault
+            self._judge()
+
+    # -- What the host does ----------------------------------------------------------------------------------------
+
+    def reset(self, now: float) -> None:
+        with self._lock:
+            self._injected = None
+            self._forget()
+            self.motor.cut(now)
+            self._powered = self._now = self._since_fault = now
+
+    def step(self, now: float, exchange: Exchange) -> bytes:
+        with self._lock:
+            if self._powered is None:
+                self.reset(now)
+            self._live(now)
+            self._see(exchange)
+            self._shown = self._image()
+        self._tell()
+        return self._shown
+
+    def attached(self, slave: Slave) -> None:
+        super().attached(slave)
+        self._told = _NOTHING_TOLD
+
+    def _tell(self) -> None:
+        """Give the slave what has changed of diagnosis and readiness: with a node address of 0 the card takes no part."""
+        now = (self.diagnosis, self.registers.setting("F6-30") != 0)
+        if self.slave and now != self._told:
+            self._told = now
+            self.slave.diagnose(now[0], announce=True, ext_diag=bool(now[0]), static_diag=False)
+            self.slave.set_ready(now[1])
+
+    def next_step(self, now: float) -> float:
+        with self._lock:
+            if self._powered is None:
+                return now
+            times = [now + IDLE, self._job.due]
+            if now < self._powered + INITIALISATION:
+                times.append(self._powered + INITIALISATION)
+            if not self.motor.arrived:
+                times.append(min(now + SCAN, self.motor.settles))
+            if isinstance(self._job, _Channel):  # the WD counter is in its handshake octet
+                times.append(self._powered + WD_PERIOD * (self._ticks(now) + 1))
+            return max(min(times), now + 1e-4)
+
+    def _live(self, now: float) -> None:
+        """Let pass what became due since the last step, each event at its own time."""
+        while (due := self._job.due) <= now:
+            self.motor.advance(due)
+            self._now = due
+            self._job.advance(due)
+            self._act(due)
+        self.motor.advance(now)
+        self._now = now
+        self._act(now)
+
+    def _see(self, exchange: Exchange) -> None:
+        """Take over what the slave says now."""
+        before, self._exchange = self._exchange, exchange
+        module = self._module
+        if module is None:
+            self._lose(before)
+        else:
+            if before.state is not SlaveState.DATA_EXCH or before.configuration != exchange.configuration:
+                self._begin(module)
+            if exchange.valid:
+                self._held = exchange.outputs
+            # F6-31: what a Clear leaves is zeros, or the last values
+            holds = exchange.valid or self.registers.setting("F6-31")
+            self._octets = (self._held if holds else b"").ljust(module.size, b"\0")
+        self._orders = self._decode()
+        self._command()
+        if module and self._ready:
+            self._ask(module)
+
+    def _lose(self, before: Exchange) -> None:
+        """There is no exchange: F6-01 = 3 (alarm only) lets the drive go on as it was, else what the bus commands is 0."""
+        if self._exchange.watchdog_expired != before.watchdog_expired or (
+                before.state is SlaveState.WAIT_CFG and self._exchange.state is SlaveState.WAIT_PRM):
+            self._timed_out = True
+        if not (self._established and self.registers.setting("F6-01") == 3):
+            self._octets = b""
+            self.registers.write(profile.COMMANDS[0], [0] * len(profile.COMMANDS))
+
+    def _begin(self, module: Configuration | profile.PPOModule) -> None:
+        """An exchange begins: nothing of an earlier one is held, and HS is cleared."""
+        self._established, self._timed_out = True, False
+        self._held, self._layout = b"", module
+        if not self._fixed_map:
+            self.registers["F6-32"] = int(isinstance(module, Configuration))
+        self._job = _Channel(self) if isinstance(module, Configuration) and module.channel else self._responder()
+
+    @property
+    def _module(self) -> Configuration | profile.PPOModule | None:
+        index = self._exchange.configuration
+        if self._exchange.state is not SlaveState.DATA_EXCH or not 0 <= index < len(self._modules):
+            return None
+        return self._modules[index]
+
+    def _ask(self, module: Configuration | profile.PPOModule) -> None:
+        """Show the parameter channel its part of the outputs."""
+        if isinstance(self._job, _Channel):
+            assert isinstance(module, Configuration) and module.channel
+            self._job.see(self._octets, module.channel, self._now)
+        elif isinstance(module, profile.PPOModule) and module.ppo.pkw:
+            self._job.see(self._octets, self._now)
+
+    # -- Words of the bus ------------------------------------------------------------------------------------------
+
+    def _decode(self) -> Orders:
+        """What the present outputs order. After a loss the words of the last exchange are gone, or stand (F6-01 = 3)."""
+        if not self._ready or not self._octets:
+            return Orders()
+        if isinstance(self._layout, Configuration):
+            return self._decode_conventional(self._layout)
+        return self._decode_ppo(self._layout.ppo)
+
+    def _decode_conventional(self, layout: Configuration) -> Orders:
+        words = {name: get_word(self._octets, offset) for name, offset in layout.outputs.items()}
+        registers = {"torque_reference": 4, "torque_compensation": 5, "analog_output_1": 7, "analog_output_2": 8,
+                     "digital_output": 9}
+        for name, register in registers.items():
+            if name in words:
+                self.registers.write(register, [words[name]])
+        command = Command(words["command"])
+        if self.registers.setting("H5-12"):  # RUN, and the direction
+            direction = (-1 if command & Command.REVERSE else 1) if command & Command.FORWARD else 0
+        else:  # both at once: stop
+            direction = {Command.FORWARD: 1, Command.REVERSE: -1}.get(command & Command.RUN, 0)
+        unit = self._unit()
+        terminals = command & Command(sum(profile.INPUT_TERMINALS.values()))
+        functions = self._functions(terminals)
+        return Orders(direction, unit.to_hz(words["frequency_reference"]) if unit else 0.0,
+                      baseblock=bool(command & Command.BASEBLOCK) or 0x08 in functions,
+                      external_fault=bool(command & Command.EXTERNAL_FAULT),
+                      reset=bool(command & Command.FAULT_RESET) or 0x14 in functions,
+                      history_reset=bool(command & Command.HISTORY_RESET), terminals=terminals)
+
+    def _decode_ppo(self, layout: ppo.PPO) -> Orders:
+        words = [get_word(self._octets, layout.offset(n)) for n in range(1, layout.words + 1)]
+        for register, word in zip(self._assigned[profile.PNU_ASSIGN_WRITE][2:], words[2:], strict=False):
+            if register in profile.ASSIGNABLE_WRITE:
+                self.registers.write(register, [word])
+        control = ControlWord(words[0] & 0x07FF)
+        local = not control & ControlWord.CONTROL
+        if local:  # local control: but what stops is always heard
+            control &= ControlWord.ENABLE_OPERATION
+        maximum = self._maximum()
+        share = ppo.to_share(words[1], profile.FULL_SCALE)
+        direction, reference = 0, abs(share) * maximum
+        if control & profile.RUN:
+            direction = -1 if share < 0 else 1
+        elif jog := control & (profile.JOG_FORWARD | profile.JOG_REVERSE):  # both at once: stop
+            direction = {profile.JOG_FORWARD: 1, profile.JOG_REVERSE: -1}.get(jog, 0)
+            reference = profile.JOG_SHARE * maximum
+        baseblock = not control & ControlWord.ENABLE_OPERATION
+        return Orders(0 if baseblock else direction, reference, baseblock, reset=bool(control & ControlWord.FAULT_RESET),
+                      local=local)
+
+    def _functions(self, terminals: Command) -> set[int]:
+        """Functions (H1-03 to H1-08) of the input terminals that are closed."""
+        return {self.registers.setting(f"H1-0{name[1]}") for name, flag in profile.INPUT_TERMINALS.items() if terminals & flag}
+
+    def _image(self) -> bytes:
+        """The input octets of this moment."""
+        module = self._module
+        if module is None:
+            return b""
+        image = bytearray(module.size)
+        if isinstance(module, Configuration):
+            for name, offset in module.inputs.items():
+                image[offset:offset + 2] = self._word(name, module).to_bytes(2, "big")
+            if channel := module.channel:
+                assert isinstance(self._job, _Channel)
+                image[channel.offset:channel.data + 2 * channel.words] = self._job.answer.encode(channel.words)
+                image[channel.handshake] = (self._job.hs | self._job.transfer
+                                            | self._ticks(self._now) % WD_MODULUS << WD_SHIFT)
+            return bytes(image)
+        layout = module.ppo
+        if layout.pkw:
+            assert isinstance(self._job, Responder)
+            image[0:pkw.LENGTH] = self._job.octets
+        share = min(max(self.motor.frequency / self._maximum(), -3.0), 3.0)  # E1-04 may have been changed meanwhile
+        values = [int(self.status_word), ppo.to_word(share, profile.FULL_SCALE)]
+        values += [self.registers.word(register) if register in profile.ASSIGNABLE_READ else 0
+                   for register in self._assigned[profile.PNU_ASSIGN_READ][2:]]
+        for number in range(1, layout.words + 1):
+            image[layout.offset(number):layout.offset(number) + 2] = values[number - 1].to_bytes(2, "big")
+        return bytes(image)
+
+    def _word(self, name: str, layout: Configuration) -> int:
+        """An input word of the conventional maps."""
+        method = self.registers.setting("A1-02")
+        match name:
+            case "status":
+                return int(self.status)
+            case "motor_speed":  # tables 8 and 12: with V/f and OLV/PM the output frequency; table 9: 0
+                return 0 if layout is profile.EXTENDED_DATA_1 and method in (0, 5) else self._monitor(0x0044)
+            case "torque_reference":
+                return self._monitor(0x0048)
+            case "pulse_count":
+                return self.pulse_count & 0xFFFF
+            case "analog_input":
+                return self.analog_input & 0xFFFF
+        return self._monitor({"frequency_reference": 0x0040, "output_frequency": 0x0041, "output_current": 0x0042}[name])
+
+    # -- The drive -------------------------------------------------------------------------------------------------
+
+    @property
+    def _ready(self) -> bool:
+        """Whether the card has come up; with a node address of 0 it never does."""
+        return (self._powered is not None and self._now >= self._powered + INITIALISATION
+                and self.registers.setting("F6-30") != 0)
+
+    def _ticks(self, now: float) -> int:
+        """How often WD has counted up."""
+        return math.floor((now - (self._powered or 0.0)) / WD_PERIOD)
+
+    def _maximum(self) -> float:
+        """E1-04, Hz."""
+        return self.registers.setting("E1-04") / 10
+
+    def _unit(self) -> FrequencyUnit | None:
+        """The unit of frequency words, None for a user setting, which no table defines."""
+        try:
+            return profile.frequency_unit(self.registers.setting("o1-03"), self._maximum(), self.registers.setting("E2-04"))
+        except ConfigurationError:
+            return None
+
+    @property
+    def _assigned_to_bus(self) -> bool:
+        """bUS is detected when run command or frequency reference are the option's (table 16)."""
+        return 3 in (self.registers.setting("b1-01"), self.registers.setting("b1-02"))
+
+    @property
+    def _net_control(self) -> bool:
+        """Whether run command and frequency reference are the bus's."""
+        return not self._orders.local and all(
+            self.registers.setting(name) == needed for name, needed in profile.CONTROL.items())
+
+    @property
+    def _baseblocked(self) -> bool:
+        return self._orders.baseblock and self.registers.setting("b1-02") == 3
+
+    def _reference(self) -> float:
+        """Hz, by b1-01; multi-step speeds beside the option's only where F6-07 allows them."""
+        source, orders = self.registers.setting("b1-01"), self._orders
+        reference = 0.0  # the terminals, serial lines and pulses of this drive are not connected
+        if source == 3:
+            reference = orders.reference
+        elif source == 0:
+            reference = self.registers.setting("d1-01") / 100
+        if self.registers.setting("F6-07"):
+            functions = self._functions(orders.terminals)
+            if step := sum(1 << n for n in range(3) if n + 3 in functions):
+                reference = self.registers.setting(f"d1-{step + 1:02d}") / 100
+            if 6 in functions:
+                reference = self.registers.setting("d1-17") / 100
+        return min(reference, self._maximum())
+
+    def _command(self) -> None:
+        """New orders have come: edges first, then what they lead to."""
+        orders, edges = self._orders, self._edges
+        self._edges = (orders.reset, orders.history_reset)
+        if orders.history_reset and not edges[1]:
+            self.history.clear()
+        if orders.reset and not edges[0] and self._fault and not self._cause():
+            self._fault = None
+        self._judge()
+        self._act(self._now)
+
+    def _cause(self) -> str | None:
+        """The fault that is there now, whether displayed or not, one that is set to alarm only included."""
+        if self._injected:
+            return self._injected
+        if self._established and self._module is None and self._assigned_to_bus:
+            return "bUS"
+        if self._orders.external_fault and (not self.registers.setting("F6-02") or self.motor.powered or self._fault == "EF0"):
+            return "EF0"
+        for name, flag in profile.INPUT_TERMINALS.items():
+            if self._orders.terminals & flag and self.registers.setting(f"H1-0{name[1]}") == 0x24:
+                return f"EF{name[1]}"
+        return None
+
+    def _judge(self) -> None:
+        """The first fault stays on the display until it is reset; one in the card itself goes before it."""
+        cause = self._cause()
+        self._alarm = cause if cause and self._reaction(cause) == 3 else None
+        fault = self._injected or self._fault or (None if self._alarm else cause)
+        if fault and fault != self._fault:
+            self.history.insert(0, (fault, min(int(self._now - self._since_fault), 0xFFFF)))
+            del self.history[_HISTORY:]
+            self._since_fault = self._now
+        self._fault = fault
+
+    def _reaction(self, fault: str) -> int:
+        """0 ramp to stop, 1 coast, 2 fast-stop, 3 alarm only."""
+        selection = {"bUS": "F6-01", "EF0": "F6-03"}.get(fault)
+        return self.registers.setting(selection) if selection else 1
+
+    def _direction(self) -> int:
+        """+1, -1 or 0: where the run command leads.
+
+        After a fault the command has to be taken away once before it counts again: a reset alone starts no motor.
+        """
+        if not self._orders.direction:
+            self._armed = True
+        if self._fault or self.undervoltage:
+            self._armed = False
+        if not self._armed or not self._ready or self.registers.setting("b1-02") != 3:
+            return 0
+        return self._orders.direction
+
+    def _act(self, now: float) -> None:
+        """Lead the motor where orders, parameters and faults say."""
+        direction = self._direction()
+        reaction = self._reaction(self._fault) if self._fault else None
+        stopped = direction == 0 and (not self.motor.powered or self.motor.frequency == 0)
+        if self.undervoltage or self._baseblocked or reaction == 1 or stopped:
+            self.motor.cut(now)  # the output is shut off
+            return
+        slow = "C1-09" if reaction == 2 else "C1-02"
+        up, down = (self._maximum() / (tenths * 0.1) if (tenths := self.registers.setting(name)) else math.inf
+                    for name in ("C1-01", slow))
+        self.motor.drive(now, direction * self._reference(), up, down)
+
+    @property
+    def _agrees(self) -> bool:
+        return self.motor.powered and self.motor.arrived and self._orders.direction != 0
+
+    @property
+    def _drive_ready(self) -> bool:
+        return self._ready and not self._fault and not self.undervoltage
+
+    @property
+    def _warns(self) -> bool:
+        """A minor fault. A baseblock is none: table 17 has no output for it."""
+        return self._alarm is not None or self._calls
+
+    @property
+    def _calls(self) -> bool:
+        return self._ready and not self._established and self._assigned_to_bus
+
+    @property
+    def status(self) -> Status:
+        """The drive status word, U1-12."""
+        with self._lock:
+            motor, orders = self.motor, self._orders
+            flags = (
+                (Status.RUNNING, motor.powered),
+                (Status.ZERO_SPEED, motor.frequency == 0),
+                (Status.REVERSE, motor.frequency < 0 or (motor.frequency == 0 and orders.direction < 0)),
+                (Status.RESET, orders.reset),
+                (Status.SPEED_AGREE, self._agrees),
+                (Status.READY, self._drive_ready),
+                (Status.ALARM, self._warns),
+                (Status.FAULT, self._fault),
+                (Status.OPE_ERROR, self._unit() is None),
+                (Status.POWER_LOSS, self.undervoltage),
+                (Status.NET_CONTROL, self._net_control),
+                (Status.OUTPUT_M1, self._terminal("M1-M2")),
+                (Status.OUTPUT_P1, self._terminal("P1")),
+                (Status.OUTPUT_P2, self._terminal("P2")),
+            )
+            return Status(sum(flag for flag, on in flags if on)) if self._ready else Status(0)
+
+    @property
+    def status_word(self) -> StatusWord:
+        """ZSW."""
+        with self._lock:
+            flags = (
+                (StatusWord.OPERATION_ENABLED, self._drive_ready),
+                (StatusWord.FAULT, self._fault),
+                (StatusWord.ALARM, self._warns),
+                (StatusWord.SPEED_AGREE, self._agrees),
+                (StatusWord.CONTROL, self._net_control),
+            )
+            return profile.STATUS_ALWAYS | StatusWord(sum(flag for flag, on in flags if on))
+
+    def _terminal(self, name: str) -> bool:
+        """Whether an output terminal is closed.
+
+        Functions: 0 running, 1 zero speed, 2 speed agree, 6 ready, 8 baseblock, E fault, F through mode, 10 minor fault;
+        with others it stays open.
+        """
+        function = {"M1-M2": "H2-01", "P1": "H2-02", "P2": "H2-03"}[name]
+        match self.registers.setting(function):
+            case 0x00:
+                return self.motor.powered
+            case 0x01:
+                return self.motor.frequency == 0
+            case 0x02:
+                return self._agrees
+            case 0x06:
+                return self._drive_ready
+            case 0x08:
+                return self._baseblocked
+            case 0x0E:
+                return self._fault is not None
+            case 0x0F:
+                return bool(self.registers.word(9) & profile.OUTPUT_TERMINALS[name])
+            case 0x10:
+                return self._warns
+        return False
+
+    def _monitor(self, address: int) -> int:
+        """The living value of a monitor register; 0 of one that the card's manual does not name."""
+        motor, unit = self.motor, self._unit()
+        torque = 0 if self.registers.setting("A1-02") in (0, 1, 5) else round(motor.torque * 100 / profile.TORQUE_UNIT)
+
+        def count(hz: float) -> int:
+            return min(round(abs(hz) / unit.hz), 0xFFFF) if unit else 0
+
+        match profile.MONITOR_COPIES.get(address, address):
+            case 0x0020:  # bit 0 running, 1 reverse, 2 ready, 3 fault
+                status = self.status
+                flags = (Status.RUNNING, Status.REVERSE, Status.READY, Status.FAULT)
+                return sum(1 << i for i, flag in enumerate(flags) if status & flag)
+            case 0x0040:
+                return count(self._reference())
+            case 0x0041 | 0x0044:  # this motor does not slip
+                return count(motor.frequency)
+            case 0x0042:
+                return min(round(motor.current / profile.current_unit(self.size)), 0xFFFF)
+            case 0x0043:
+                return self.registers.setting("A1-02")
+            case 0x0045:  # 0.1 V, up to the rated voltage at the rated frequency
+                return round(10 * _RATED_VOLTAGE * min(abs(motor.frequency) / motor.rated_frequency, 1.0))
+            case 0x0046:
+                return _DC_BUS_UNDERVOLTAGE if self.undervoltage else _DC_BUS
+            case 0x0047:  # 0.1 kW
+                return round(motor.power / 100) & 0xFFFF
+            case 0x0048:
+                return torque & 0xFFFF
+            case 0x0049:
+                return int(self._orders.terminals)
+            case 0x004A:
+                return sum(flag for name, flag in profile.OUTPUT_TERMINALS.items() if self._terminal(name))
+            case 0x004B:
+                return int(self.status)
+        return 0
+
+    def _row(self) -> str:
+        """Which row of table 4 the LEDs show."""
+        if self._powered is None:
+            return "No power"
+        if self._injected and self._injected.startswith(("oFA3", "oFA4")):
+            return "Self-diagnostics error"
+        if self._injected or self.registers.setting("F6-30") == 0:
+            return "Problem connecting to the drive"
+        if not self._ready:
+            return "Checking"
+        if self._module:
+            return "Exchange"
+        return "Data incorrect or timed out" if self._timed_out else "Waiting for the master"
+
+    # -- Parameter access ------------------------------------------------------------------------------------------
+
+    def _access(self, request: Access, words: int) -> Access:
+        """Carry out a MEMOBUS message; `words` is what the configuration's channel holds."""
+        code = self._refusal(request, words)
+        if code is not None:
+            return Access.error(request.function, code)
+        if request.function == Function.LOOP_BACK:
+            return request
+        n = request.length // 2
+        if request.function == Function.READ:
+            values = tuple(self.registers.word(request.address + i) for i in range(n))
+            return Access(request.function, request.address, request.length, values)
+        self._write(request.address, list(request.data[:n]))
+        return Access(request.function, request.address, request.length)
+
+    def _refusal(self, request: Access, words: int) -> AccessCode | None:
+        """The error code for a MEMOBUS message that the drive will not carry out; writes are done whole or not at all."""
+        n = request.length // 2
+        if request.function not in (Function.READ, Function.LOOP_BACK, Function.WRITE):
+            return AccessCode.FUNCTION
+        if request.length % 2 or not 1 <= n <= words:
+            return AccessCode.AMOUNT
+        if request.function == Function.LOOP_BACK:
+            return None
+        if request.function == Function.WRITE:
+            return self._write_refusal(request.address, list(request.data[:n]))
+        return AccessCode.ADDRESS if request.address + n - 1 > LAST_REGISTER else None
+
+    def _write_refusal(self, address: int, words: list[int]) -> AccessCode | None:
+        """Why the drive does not take these words, None when it does."""
+        enter = len(words) == 1 and address in (profile.ENTER_RAM, profile.ENTER_ROM)
+        if not enter and address + len(words) - 1 > LAST_REGISTER:
+            return AccessCode.ADDRESS
+        if self.undervoltage or self.storing or (address == profile.ENTER_ROM and self.running):
+            return AccessCode.WRITE
+        if enter:
+            return None
+        table = self.registers._table
+        new = dict(enumerate(words, address))
+        affected = {parameter for at in new if (parameter := table.at(at))}
+        if any(at in profile.MONITORS for at in new) or any(
+                parameter.access == "r" or (self.running and not parameter.running) for parameter in affected):
+            return AccessCode.WRITE
+        for parameter in affected:
+            word = 0
+            for at in parameter.registers:
+                word = word << 16 | new.get(at, self.registers.word(at))
+            if not parameter.minimum <= parameter.count(word) <= parameter.maximum:
+                return AccessCode.CONTENT
+        return None
+
+    def _write(self, address: int, words: list[int]) -> None:
+        """Carry out a write that was not refused."""
+        if address in (profile.ENTER_RAM, profile.ENTER_ROM):
+            self.registers.enter(store=address == profile.ENTER_ROM)
+            if address == profile.ENTER_ROM:
+                self._assigned_stored = dict(self._assigned)
+        else:
+            self.registers.write(address, words)
+
+
+class _Channel:
+    """The card's half of the MEMOBUS channel: one message at a time.
+
+    A command is new when its HS differs from the one of the command before. The input HS keeps its old value, with function
+    code 00h, until the answer is there. While it is busy the card looks at no further toggle; INIT ends everything.
+    """
+
+    def __init__(self, card: SIP3) -> None:
+        self._card = card
+        self._request = Access(Function.NONE)
+        self._words = 0
+        self.due = math.inf
+        """When the next transition is due; infinity while there is nothing to do."""
+        self._clear()
+
+    def _clear(self) -> None:
+        self._taken = self.hs = 0
+        self.transfer, self.due = Transfer.IDLE, math.inf
+        self.answer = Access(Function.NONE)
+
+    def see(self, octets: bytes, where: ChannelMap, now: float) -> None:
+        """Look at the master's half of the channel."""
+        register = octets[where.handshake]
+        if register & INIT:
+            self._clear()
+        elif register & HS != self._taken and self.due == math.inf:
+            self._taken = register & HS
+            self._request, self._words = Access.decode(octets, where), where.words
+            self.answer = Access(Function.NONE)
+            if self._request.function == Function.NONE:  # zeros of a Clear: nothing goes to the drive
+                self.hs, self.transfer = self._taken, Transfer.IDLE
+            else:
+                self.transfer, self.due = Transfer.SENT, now + SENDING
+
+    def advance(self, now: float) -> None:
+        """The transition that is due at `now`."""
+        if self.transfer is Transfer.SENT:
+            self.transfer, self.due = Transfer.WAITING, now + self._card._random.uniform(0.010, 0.015)
+        else:
+            self.answer = self._card._access(self._request, self._words)
+            self.hs, self.transfer, self.due = self._taken, Transfer.RECEIVED, math.inf
+
+
+class _Numbers:
+    """The card's parameter numbers, as `pkw.serve` asks for them."""
+
+    def __init__(self, card: SIP3) -> None:
+        self._card = card
+
+    def elements(self, pnu: int) -> int | None:
+        if pnu == profile.PNU_REGISTERS:
+            return LAST_REGISTER + 1
+        if pnu in profile.GROUPS:
+            return profile.GROUP_ELEMENTS
+        for types in (profile.PNU_WRITE_TYPES, profile.PNU_READ_TYPES):
+            if pnu in types:
+                return ppo.TYPES[types[pnu]].size // 2
+        if pnu in (profile.PNU_ASSIGN_WRITE, profile.PNU_ASSIGN_READ, profile.PNU_FAULTS, profile.PNU_FAULT_TIMES):
+            return 10
+        if pnu == profile.PNU_IDENTIFICATION:
+            return len(profile.IDENTIFICATION)
+        if pnu not in _SINGLE:
+            raise Refusal(pkw.Error.PNU)
+        return None
+
+    def read(self, pnu: int, index: int) -> Value:
+        if pnu in _WRITE_ONLY:
+            raise Refusal(pkw.Error.PNU)
+        if pnu == profile.PNU_REGISTERS or pnu in profile.GROUPS:
+            registers = self._registers(pnu, index)
+            word = 0
+            for address in registers:
+                word = word << 16 | self._card.registers.word(address)
+            return Value(word, len(registers) == 2)
+        array = self._array(pnu)
+        if array is None:
+            return Value(self._single(pnu))
+        if not 1 <= index <= len(array):
+            raise Refusal(pkw.Error.INDEX)
+        return Value(array[index - 1])
+
+    def write(self, pnu: int, index: int, value: Value) -> None:
+        card = self._card
+        if pnu == profile.PNU_REGISTERS or pnu in profile.GROUPS:
+            registers = self._registers(pnu, index)
+            if value.double != (len(registers) == 2):
+                raise Refusal(pkw.Error.NOT_CHANGEABLE)
+            self._write(registers[0], [value.value >> 16, value.value & 0xFFFF][-len(registers):])
+        elif value.double:
+            raise Refusal(pkw.Error.NOT_CHANGEABLE)
+        elif pnu in _WRITE_ONLY:
+            self._write(profile.ENTER_RAM if pnu == profile.PNU_ENTER_RAM else profile.ENTER_ROM, [value.value])
+        elif pnu in card._assigned:
+            if not 1 <= index <= len(card._assigned[pnu]):
+                raise Refusal(pkw.Error.INDEX)
+            if index <= 2:  # PZD1 and PZD2 are STW, HSW, ZSW and HIW
+                raise Refusal(pkw.Error.NOT_CHANGEABLE)
+            assigned = list(card._assigned[pnu])
+            assigned[index - 1] = value.value  # an illegal one is taken, and told in the diagnosis
+            card._assigned[pnu] = tuple(assigned)
+        elif pnu != profile.PNU_CONTROL:  # whose next word comes with the process data: a write is overtaken at once
+            raise Refusal(pkw.Error.NOT_CHANGEABLE)
+
+    def _write(self, address: int, words: list[int]) -> None:
+        card = self._card
+        code = card._write_refusal(address, words)
+        if code is AccessCode.WRITE and (card.undervoltage or card.storing):
+            raise Refusal(pkw.Error.STATE)
+        if code is not None:
+            raise Refusal(profile.ACCESS_ERRORS[code])
+        card._write(address, words)
+
+    def _registers(self, pnu: int, index: int) -> range:
+        """The registers of a drive parameter, or of PNU 0 the one."""
+        if pnu == profile.PNU_REGISTERS:
+            if not 1 <= index <= LAST_REGISTER:
+                raise Refusal(pkw.Error.INDEX)
+            return range(index, index + 1)
+        parameter = self._card.registers._table.get(profile.parameter_name(pnu, index))
+        if parameter is None:
+            raise Refusal(pkw.Error.INDEX)
+        return parameter.registers
+
+    def _array(self, pnu: int) -> tuple[int, ...] | None:
+        """The elements of one of the profile's arrays."""
+        card = self._card
+        if pnu in profile.PNU_WRITE_TYPES:
+            return self._words(card._octets, ppo.TYPES[profile.PNU_WRITE_TYPES[pnu]])
+        if pnu in profile.PNU_READ_TYPES:
+            return self._words(card._shown, ppo.TYPES[profile.PNU_READ_TYPES[pnu]])
+        if pnu in card._assigned:
+            return card._assigned[pnu]
+        if pnu == profile.PNU_FAULTS:
+            return (*(profile.FAULTS[name][0] for name, _ in card.history), *[0] * _HISTORY)[:_HISTORY]
+        if pnu == profile.PNU_FAULT_TIMES:
+            return (*(seconds for _, seconds in card.history), *[0] * _HISTORY)[:_HISTORY]
+        return profile.IDENTIFICATION if pnu == profile.PNU_IDENTIFICATION else None
+
+    def _words(self, octets: bytes, wanted: ppo.PPO) -> tuple[int, ...]:
+        """The exchange's octets as another type would have them: its channel and process words, 0 where it has none."""
+        present = self._type()
+        channel = octets[:pkw.LENGTH] if present.pkw else bytes(pkw.LENGTH)
+        view = (channel if wanted.pkw else b"") + octets[present.pzd:]
+        return tuple(get_word(view, 2 * n) for n in range(wanted.size // 2))
+
+    def _type(self) -> ppo.PPO:
+        module = self._card._module
+        return module.ppo if isinstance(module, profile.PPOModule) else ppo.TYPES[1]
+
+    def _single(self, pnu: int) -> int:
+        """The value of a parameter number that is no array."""
+        card = self._card
+        match pnu:
+            case profile.PNU_WRITE_TYPE | profile.PNU_READ_TYPE:
+                return self._type().type
+            case profile.PNU_ADDRESS:
+                return card.registers.setting("F6-30")
+            case profile.PNU_BAUDRATE:
+                return profile.BAUDRATES[card._exchange.baudrate]
+            case profile.PNU_PROFILE:
+                return profile.PROFILE
+            case profile.PNU_CONTROL:
+                return get_word(card._octets, self._type().pzd)
+            case _:
+                return int(card.status_word)
+
+
+_WRITE_ONLY = frozenset({profile.PNU_ENTER_RAM, profile.PNU_ENTER_ROM, profile.PNU_STORE})
+_SINGLE = _WRITE_ONLY | {profile.PNU_WRITE_TYPE, profile.PNU_READ_TYPE, profile.PNU_ADDRESS, profile.PNU_BAUDRATE,
+                         profile.PNU_PROFILE, profile.PNU_CONTROL, profile.PNU_STATUS}
