@@ -74,9 +74,23 @@ LINES = {
     "no counters": "test_master_pty.py::test_statistics_count_what_was_done",
     "its ports cannot open a pty": "test_port.py::test_the_line_is_raw_and_a_pty_without_parity_is_accepted",
     "no slave side": "test_slave_recording.py::test_an_s7_and_the_slave_it_knows",
+    # their masters, seen from a slave
+    "a retry has new data: the slave does not take them": "test_slave.py::test_fcb_toggled_is_new_and_the_same_is_a_repetition",
+    "FCB kept after a loss: the first request is a repetition": "test_slave.py::test_fcb_outlives_everything_but_power",
+    "requests low priority, Global_Control too":
+        "test_slave_services.py::test_any_state_answers_status_diag_and_get_cfg test_slave.py::test_sdn_is_never_answered",
+    "the first Data_Exchange as 6D": "test_slave.py::test_fcb_first_cycle_is_new_each_time",
+    "8 octets as SD3 reach our slave": "test_slave_services.py::test_eight_output_octets_as_sd3_and_sd2_rows_46_and_47",
+    "ten unanswered polls before a cold slave's first answer":
+        "test_slave_baud.py::test_the_first_good_telegram_is_not_answered_the_next_one_is",
+    "the demo stops sending, 300 ms later the slave has left":
+        "test_slave_services.py::test_start_and_loss_of_a_valve_island_rows_17_to_23",
+    "a slave that ignores group 0": "test_slave_services.py::test_group_zero_is_everybody_and_others_must_match",
+    "sensors, slaves without outputs": "test_generic_slave.py::test_every_shape_exchanges",
     # what users of both ask for
     "two and more slaves that simply work": "test_peers.py::test_eight_slaves_at_19200_all_exchange",
     "a slave over a virtual port": "test_segment.py::test_emulate_on_a_pty_of_its_own",
+    "a slave to test a master against": "test_generic_slave.py::test_the_console",
     "the reason for a refusal in words": "test_diagnosis.py::test_the_words_of_a_refusal",
 }
 

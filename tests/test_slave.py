@@ -24,6 +24,7 @@ from slave_rig import (
     POWER_UP,
     SC,
     SET_PRM,
+    SET_SLAVE_ADD,
     SLAVE_DIAG,
     WAIT_PRM,
     ZEROS,
@@ -586,15 +587,18 @@ def test_any_octet_changed_or_lost_is_no_telegram(good: bytes) -> None:
 WRITTEN = [bytes([value] * 6) for value in range(1, 5)]
 STEPS = st.sampled_from([
     "exchange", "repeat", "short", "empty", "prm", "prm wrong", "unlock", "cfg", "cfg wrong", "diag", "clear", "operate",
-    "sync", "unsync", "freeze", "other exchange", "other prm", "pause", "long pause", "reset", "replug",
+    "sync", "unsync", "freeze", "other exchange", "other prm", "other address", "pause", "long pause", "reset", "replug",
 ])
+HABITS = ("wrong_length_ue", "prm_keeps_exchange", "foreign_sc", "control_feeds", "cfg_fault_keeps_master",
+          "prm_open_takes_user")
 
 
 class RandomMaster:
     """Every step is a good telegram; what the outputs may be is all that was ever written."""
 
-    def __init__(self) -> None:
-        self.rig = Rig((SlaveConfig(fail_safe=True),))
+    def __init__(self, habits: frozenset[str]) -> None:
+        self.rig = Rig((SlaveConfig(fail_safe=True, more={"set_address": True, **dict.fromkeys(habits, True)}),))
+        self.refusal = SC if "foreign_sc" in habits else telegram(3, 8, 0x03)
         self.own, self.other = Initiator(self.rig), Initiator(self.rig, address=3)
         self.own.start(0xB8, (5, 1))
         self.last = b""
@@ -615,9 +619,12 @@ class RandomMaster:
         elif name == "repeat" and self.last:
             rig.exchange(self.last)
         elif name == "other exchange":
-            assert self.other.srd(None, b"\xee" * 6) == self.other.rs()
-        elif name == "other prm" and rig.report().master == 2:
-            assert self.other.prm() == self.other.rs()
+            locked = rig.report().state != WAIT_PRM
+            assert self.other.srd(None, b"\xee" * 6) == (self.refusal if locked else self.other.rs())
+        elif name == "other prm" and rig.report().state != WAIT_PRM:
+            assert self.other.prm() == self.refusal
+        elif name == "other address" and rig.report().state != WAIT_PRM:
+            assert self.other.srd(SET_SLAVE_ADD, octets("09 00 CA 00")) == SC
         elif name in ("pause", "long pause"):
             rig.quiet(rig.time + (20 if name == "pause" else 60) * MS)
         elif name == "reset":
@@ -628,10 +635,10 @@ class RandomMaster:
 
 
 @settings(max_examples=150, deadline=None, print_blob=True)
-@given(st.lists(st.tuples(STEPS, st.sampled_from(WRITTEN)), max_size=40))
-def test_outputs_are_what_was_written_or_zeros(steps: list[tuple[str, bytes]]) -> None:
-    """Invariant 1 of the design: "what one commit of the application wrote, or safe"."""
-    random = RandomMaster()
+@given(st.lists(st.tuples(STEPS, st.sampled_from(WRITTEN)), max_size=40), st.frozensets(st.sampled_from(HABITS)))
+def test_outputs_are_what_was_written_or_zeros(steps: list[tuple[str, bytes]], habits: frozenset[str]) -> None:
+    """Invariant 1 of the design: "what one commit of the application wrote, or safe"; whatever the slave's habits."""
+    random = RandomMaster(habits)
     written = set()
     for name, value in steps:
         if name == "exchange":
@@ -640,6 +647,8 @@ def test_outputs_are_what_was_written_or_zeros(steps: list[tuple[str, bytes]]) -
         outputs, report = random.rig.outputs(), random.rig.report()
         assert outputs.octets in written if outputs.valid else outputs.octets == ZEROS
         assert not outputs.valid or (report.state == DATA_EXCH and not report.clear)
-        assert (report.state == WAIT_PRM) == (report.master == -1)
+        if "cfg_fault_keeps_master" not in habits:
+            assert (report.state == WAIT_PRM) == (report.master == -1)
+        assert report.address == 8
         assert (report.state == DATA_EXCH) == (report.configuration == 0)
         assert (random.rig.ask(random.rig.time).wake == NEVER) == (report.state == WAIT_PRM)

@@ -249,8 +249,11 @@ class Host(ABC):
         return card
 
     def _refresh(self, slot: Slot) -> None:
+        if self._closed:
+            return
+        self._guard()
         with self._lock:
-            if not self._closed and not slot.stepping:  # stepping: a card's own step has changed it
+            if not slot.stepping:  # else the card's own step changed it, and its octets are about to be taken
                 slot.next = 0.0
                 self._live(slot, False)
 
