@@ -24,7 +24,8 @@ RING = lib.DPM_ROLE_RING
 class Ring:
     """Masters of ours, in Stop, on a wire of their own; all without power."""
 
-    def __init__(self, rate: int, addresses: list[int], *, hsa: int = 126, tap: int = 64, grace: int = 20, echo: bool = False) -> None:
+    def __init__(self, rate: int, addresses: list[int], *, hsa: int = 126, tap: int = 64, grace: int = 20,
+                 echo: bool = False) -> None:
         parameters = default_parameters(rate)
         parameters.hsa = hsa
         self.tsl = int(lib.dpm_bits_up(parameters, parameters.tsl))
