@@ -191,6 +191,9 @@ def test_the_first_of_two_counts() -> None:
     ('ExtUserPrmData = 1 "x"\nBit(40) 0 0-1\nEndExtUserPrmData', "numbered 0 to 31"),
     ('ExtUserPrmData = 1 "x"\nPrm_Text_Ref = 3\nEndExtUserPrmData', "no PrmText 3"),
     ('SlotDefinition\nSlot(1) = "s" 7 1,7\nEndSlotDefinition', "its default 7 is no module's reference"),
+    ('ExtUserPrmData = 1 "x"\nUnsigned8 9 0-9\nBitArea(2-9) 0 0-1\nEndExtUserPrmData', "a type already, Unsigned8"),
+    ("Unit_Diag_Bit(-1) = \"x\"", "a number in brackets"), ("SlotDefinition\nSlot(255) = \"s\" 1 1", "0 to 254"),
+    ('Module = "a" 0x10\n7\nExt_Module_Prm_Data_Len = 238', "238, 0 to 237: not taken"),
     ('Module = "a" 0x10\n1\nEndModule', "is that of 'a' already"), ("Unit_Diag_Area = 5-999999999", "0 to 495"),
     ('Module = "a" 0x10\n7\nExt_Module_Prm_Data_Len = 1\nExt_User_Prm_Data_Const(0) = 1,2', "Ext_Module_Prm_Data_Len"),
 ])
@@ -199,6 +202,13 @@ def test_what_is_wrong_is_found(text: str, part: str) -> None:
     found = [finding for finding in gsd.findings if part in finding.text]
     assert len(found) == 1 and found[0].severity is not Severity.NOTE
     assert gsd.modules[-1].name == "m"  # and the rest is read
+
+
+def test_objects_that_are_dropped_leave_nothing_behind() -> None:
+    """A second PrmText of one number is read and forgotten; what comes next is not taken for it."""
+    gsd = parse("".join(f'PrmText = {n // 2}\nText({n}) = "{n}"\nEndPrmText\n' for n in range(200)))
+    assert [found.texts for found in gsd.prm_texts.values()] == [{2 * n: f"{2 * n}"} for n in range(100)]
+    assert all("PrmText was given" in text for text in texts(gsd)) and len(gsd.findings) == 100
 
 
 def test_strict_makes_an_error_of_the_first_error() -> None:
@@ -404,6 +414,15 @@ Foo = 1
 EndFoo
 User_Prm_Data = 1,2
 500_supp = 1
+Ext_User_Prm_Data_Const(99999999999) = 1
+Ext_User_Prm_Data_Ref(99999999999) = 1
+Ext_Module_Prm_Data_Len = 99999999999
+Slot(99999999999) = "s" 1 1-99999999999
+Text(-1) = "x"
+Unit_Diag_Bit(-1) = "x"
+Unit_Diag_Bit(99999999999) = "x"
+User_Prm_Data_Len = 99999999999
+Max_Module = 99999999999
 x = "a \\
 "'''
 LINES = st.sampled_from(GRAMMAR.split("\n"))
@@ -421,3 +440,26 @@ def test_any_text_gives_a_model_and_findings(content: str | bytes) -> None:
         assert len(configuration.user_parameters) <= 237 and configuration.prm_blocks is not None
         for bits in range(8):
             configuration.texts.device(DeviceBlock(bytes([8, 1 << bits, 1, 255, 0, 3, 0, 0])))
+
+
+@needs_files
+def test_damaged_files_of_makers_give_a_model_and_findings() -> None:
+    seed = random.randrange(1 << 32)
+    print(f"seed {seed}")
+    chance = random.Random(seed)
+    whole = [path(name).read_bytes().decode("latin-1") for name in NAMES if path(name).stat().st_size < 20_000]
+    for _ in range(100):
+        text = chance.choice(whole)
+        for _ in range(chance.randrange(1, 20)):
+            at = chance.randrange(len(text))
+            cut = chance.choice((0, 0, 1, 30))
+            put = chance.choice(("", chr(chance.randrange(256)), GRAMMAR[chance.randrange(len(GRAMMAR)) :][:40]))
+            text = text[:at] + put + text[at + cut :]
+        gsd = GSD.parse(text)
+        for modules in (None, chance.sample(gsd.modules, min(3, len(gsd.modules)))):
+            with contextlib.suppress(DPError):
+                configuration = gsd.configure(modules)
+                for name, value in configuration.parameters.items():
+                    if configuration.parameters.find(name).parameter.allows(configuration.parameters.defaults[name]):
+                        configuration.parameters[name] = value
+                configuration.texts.device(DeviceBlock(b"\t" + chance.randbytes(8)))

@@ -265,7 +265,8 @@ def test_a_modules_parameters_are_a_block_of_their_own(rack: GSD) -> None:
     (["Both"], {7: {"Wide": 8}}, "no module 7: its slots are, 1 'Both'"), (["In"], {1: {"Wide": 8}}, "there is none"),
     (["Boht"], {}, "no module 'Boht': 'Both'"), ([9], {}, "no module 9"), ("Both", {}, "give a list of names"),
     ([("x", "Both")], {}, "a slot's number and a name"), ([(2, "In"), (2, "In")], {}, "slot 2 is taken by 'In'"),
-    ([(0, "In")], {}, "slots begin with 1"), (["In"] * 5, {}, "5 modules, and Max_Module is 4"), ([(5, "In")], {}, "5 modules"),
+    ([(0, "In")], {}, "slots begin with 1"), ([(10**9, "In")], {}, "end with 254"), (5, {}, "give a list of names"),
+    (["In"] * 5, {}, "5 modules, and Max_Module is 4"), ([(5, "In")], {}, "5 modules"),
     (["Both", "Both", "Both"], {}, "21 octets of inputs, and Max_Input_Len is 20"),
     (["Out 2"] * 4 + ["Both"], {}, "Max_Module"), (["Both", "Out 2", "Out 2"], {}, "10 octets of outputs"),
     (["Both", "In", "In", "Out 2"], {}, None), (["Both", "Both"], {}, "12 octets of outputs, and Max_Output_Len is 8"),
@@ -450,6 +451,14 @@ def test_a_station_takes_from_the_file_what_it_needs(rack: GSD) -> None:
 def test_what_the_program_says_goes_before_the_file(rack: GSD) -> None:
     station = Station.from_gsd(rack, 7, ["In"], fail_safe=False, max_tsdr={}, min_slave_interval=3)
     assert (station.fail_safe, station.max_tsdr, station.min_slave_interval) == (False, {}, 3)
+
+
+@needs_files
+def test_profisafe_is_kept_and_said_not_to_be_sent() -> None:
+    configuration = load("B756_P33.GSD").configure([(2, "75x-660 8FDI/24V DC")])
+    assert configuration.user_parameters.hex(" ").endswith("80 21 00 20 de 00")
+    (note,) = configuration.notes
+    assert note.startswith("slot 2, 75x-660 8FDI/24V DC, has PROFIsafe parameters")
 
 
 @pytest.mark.parametrize(("options", "text"), [({"sync": True}, "sync=True: Test Rack can not"), ({"address": 126}, "126"),

@@ -328,6 +328,7 @@ def station_toml(file: str, address: int, modules: list[Any], configuration: Con
         spans = [(place.inputs, "inputs"), (place.outputs, "outputs")]
         data = [f"{what} {span.offset} to {span.offset + span.length - 1}" for span, what in spans if span.length]
         yield f"#   slot {place.slot}, {place.name}: {', '.join(data) or 'no data'}"
+    yield from (f"#   {note}" for note in configuration.notes)
     yield from ("[[station]]", f"address = {address}", f"gsd = {_toml(file)}",
                 f"modules = {_toml([_named(gsd, entry) for entry in modules])}")
     if parameters:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from dpmaster.gsd.model import Device, Module, _Prm
+from dpmaster.gsd.model import USER_PRM_MAX, Device, Module, _Prm
 from dpmaster.gsd.reader import Reader
 from dpmaster.gsd.source import Severity
 
@@ -55,7 +55,7 @@ def _device(device: Device, reader: Reader) -> Iterator[Said]:
 
 
 def _prm(device: Device, reader: Reader) -> Iterator[Said]:
-    yield from _references(device, device, reader, 237, "user parameters have 237 octets at most")
+    yield from _references(device, device, reader, USER_PRM_MAX, f"user parameters have {USER_PRM_MAX} octets at most")
     if device.user_prm is not None and device.user_prm_length not in (None, len(device.user_prm)):
         yield (ERROR, reader.given.get((id(device), "user_prm", None)),
                f"User_Prm_Data has {len(device.user_prm)} octets, User_Prm_Data_Len is {device.user_prm_length}")
@@ -81,6 +81,10 @@ def _modules(device: Device, reader: Reader) -> Iterator[Said]:
     if not device.modules:
         yield WARNING, None, "it has no Module: nothing can be configured from it"
     for module in device.modules:
+        if module.prm_length is not None and not 0 <= module.prm_length <= USER_PRM_MAX:
+            yield (ERROR, reader.given.get((id(module), "prm_length", None)),
+                   f"Ext_Module_Prm_Data_Len of {module.name!r} is {module.prm_length}, 0 to {USER_PRM_MAX}: not taken")
+            module.prm_length = None
         if module.prm_length is not None:
             yield from _references(device, module, reader, module.prm_length,
                                    f"Ext_Module_Prm_Data_Len of {module.name!r} is {module.prm_length}")

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from dpmaster.errors import ConfigurationError
-from dpmaster.gsd.model import Device, Module, plain
+from dpmaster.gsd.model import SLOT_MAX, USER_PRM_MAX, Device, Module, plain
 from dpmaster.gsd.parameters import Parameters
 from dpmaster.gsd.texts import Texts
 from dpmaster.identifier import IO_MAX, Data, Identifier
@@ -21,7 +21,6 @@ from dpmaster.identifier import IO_MAX, Data, Identifier
 Chosen = str | int | Module | tuple[int, str | int | Module] | list["int | str | Module"]
 """A module by its name, its Module_Reference, or itself; with a slot before it when it is not the next one."""
 
-USER_PARAMETERS_MAX = 237  # octets of User_Prm_Data in Set_Prm
 EMPTY = Module(name="(empty slot)", configuration=b"\0")
 
 # DPV1_Status_1 to 3, protocol page G.1
@@ -74,6 +73,9 @@ class Configuration:
                  fail_safe: bool | None, alarms: Iterable[str]) -> None:
         self.device = device
         self.fail_safe = device.fail_safe if fail_safe is None else fail_safe
+        if self.fail_safe != device.fail_safe and (self.fail_safe or device.fail_safe_required):
+            what = "it takes zeros in Clear, no empty telegrams" if self.fail_safe else "it requires it (Fail_Safe_required)"
+            raise ConfigurationError(f"fail_safe={fail_safe}: {device.title} can not, its GSD file says: {what}")
         self._dpv1 = dpv1
         self._alarms = self._alarm_bits(alarms)
         self._watchers: list[Callable[[bytes], None]] = []
@@ -139,7 +141,7 @@ class Configuration:
         else:
             octets = bytearray(device.user_prm)
         if device.dpv1:
-            octets.extend(bytes(3 - len(octets)) if len(octets) < 3 else b"")
+            octets.extend(bytes(max(0, 3 - len(octets))))
             self._dpv1_status(octets)
         return bytes(octets)
 
@@ -218,9 +220,9 @@ class Configuration:
 
     def _check_prm(self) -> None:
         length, own = len(self.user_parameters), len(self._station_prm())
-        limit = min(USER_PARAMETERS_MAX, max(own, self.device.max_user_prm_length or USER_PARAMETERS_MAX))
+        limit = min(USER_PRM_MAX, max(own, self.device.max_user_prm_length or USER_PRM_MAX))
         if length > limit:
-            rule = "Max_User_Prm_Data_Len is" if limit < USER_PARAMETERS_MAX else "a telegram holds"
+            rule = "Max_User_Prm_Data_Len is" if limit < USER_PRM_MAX else "a telegram holds"
             raise ConfigurationError(f"{self.device.title}: {length} octets of user parameters, and {rule} {limit}: take "
                                      "modules out")
 
@@ -234,6 +236,12 @@ class Configuration:
     def texts(self) -> Texts:
         """For `Diagnosis.explain`: the maker's words, and the names of the modules."""
         return Texts(self.device, self.places)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a person should know before this station is operated."""
+        return tuple(f"slot {place.slot}, {place.name}, has PROFIsafe parameters, which are not sent: this master is no F-Host"
+                     for place in self.places if place.module.f_constants or place.module.f_references)
 
     @property
     def max_tsdr(self) -> dict[int, int]:
@@ -272,7 +280,7 @@ def configure(device: Device, modules: Iterable[Chosen] | None, parameters: Mapp
 
 def choose(device: Device, modules: Iterable[Chosen]) -> list[tuple[int, Module]]:
     """Slots and modules: those chosen, those that are fixed, and what stands in the slots between."""
-    if isinstance(modules, str):
+    if isinstance(modules, str) or not isinstance(modules, Iterable):
         raise ConfigurationError(f"modules {modules!r}: give a list of names")
     first = min(device.slots, default=1)
     fixed = [module for module in device.modules if module.preset] if device.fixed_presets else []
@@ -285,8 +293,9 @@ def choose(device: Device, modules: Iterable[Chosen]) -> list[tuple[int, Module]
         at = at if slot is None else slot
         if at in placed:
             raise ConfigurationError(f"{device.title}: slot {at} is taken by {placed[at].name!r} already")
-        if at < first:
-            raise ConfigurationError(f"{device.title}: slot {at} of {module.name!r}: its slots begin with {first}")
+        if not first <= at <= SLOT_MAX:
+            raise ConfigurationError(f"{device.title}: slot {at} of {module.name!r}: its slots begin with {first} and end "
+                                     f"with {SLOT_MAX}")
         _allowed(device, at, module)
         placed[at] = module
         at += 1

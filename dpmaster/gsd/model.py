@@ -9,6 +9,7 @@ its two misspellings put right. Touches only the decoder of identifiers and erro
 from __future__ import annotations
 
 import difflib
+import operator
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
@@ -18,6 +19,9 @@ from typing import Any
 from dpmaster import identifier
 from dpmaster.errors import ConfigurationError
 from dpmaster.gsd.source import Finding
+
+SLOT_MAX = 254  # as DP-V1 numbers them
+USER_PRM_MAX = 237  # octets of User_Prm_Data in Set_Prm
 
 RATES: dict[str, int] = {
     "9.6": 9600, "19.2": 19200, "31.25": 31250, "45.45": 45450, "93.75": 93750, "187.5": 187500, "500": 500_000,
@@ -121,8 +125,8 @@ class Parameter:
         Raises ConfigurationError that names what is allowed.
         """
         found: int | None = None
-        if isinstance(setting, int):
-            found = int(setting)
+        if hasattr(setting, "__index__"):
+            found = operator.index(setting)
         elif isinstance(setting, str):
             wanted = plain(setting)
             found = next((value for value, text in self.texts.items() if plain(text) == wanted), None)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 from dpmaster.errors import ConfigurationError
-from dpmaster.gsd.model import Device, Parameter, _Prm, plain
+from dpmaster.gsd.model import USER_PRM_MAX, Device, Parameter, _Prm, plain
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,10 +35,11 @@ class Parameters(Mapping[str, int | str]):
     def __init__(self, whose: str, device: Device, block: _Prm, length: int | None,
                  changed: Callable[[], None] = lambda: None, slot: int | None = None) -> None:
         self._whose = whose
-        self._constants = block.constants
         self._changed = changed
+        room = USER_PRM_MAX if length is None else length  # what does not fit is a finding of the file's
+        self._constants = [(offset, octets) for offset, octets in block.constants if offset + len(octets) <= room]
         found = [(offset, device.parameters[number]) for offset, number in block.references if number in device.parameters]
-        found = [(offset, p) for offset, p in found if length is None or offset + p.octets <= length]
+        found = [(offset, parameter) for offset, parameter in found if offset + parameter.octets <= room]
         self.placed = self._name(found)
         self.defaults = {placed.name: self._default(placed.parameter, slot) for placed in self.placed}
         self._values = dict(self.defaults)
@@ -76,7 +77,7 @@ class Parameters(Mapping[str, int | str]):
         return placed
 
     def __getitem__(self, name: str) -> int | str:
-        placed = self._names.get(plain(name))
+        placed = self._names.get(plain(str(name)))
         if placed is None:
             raise KeyError(name)
         return placed.parameter.shown(self._values[placed.name])
@@ -124,8 +125,7 @@ class Parameters(Mapping[str, int | str]):
         """The block: constants in the order of the file, then each parameter's own bits."""
         block = bytearray(self.length)
         for offset, octets in self._constants:
-            piece = octets[: max(0, self.length - offset)]
-            block[offset : offset + len(piece)] = piece
+            block[offset : offset + len(octets)] = octets
         for placed in self.placed:
             placed.parameter.put(block, placed.offset, self._values[placed.name])
         return bytes(block)

@@ -18,6 +18,7 @@ from typing import Any
 from dpmaster.errors import ConfigurationError
 from dpmaster.gsd.model import (
     RATES,
+    SLOT_MAX,
     TYPES,
     Area,
     DataArea,
@@ -45,7 +46,6 @@ MISSPELLED = {
     "order_number": "ordernumber", "user_prm_data_length": "user_prm_data_len",
     "max_user_prm_data_length": "max_user_prm_data_len",
 }
-
 
 GUESSES = 200  # findings until which a misspelled keyword is looked for: comparing costs a millisecond
 _END = re.compile(r"^[^\S\n]*+(?:end_?(\w++)|(\w+)_end\b)", re.IGNORECASE | re.MULTILINE)
@@ -119,7 +119,7 @@ def table(block: type) -> dict[str, Entry]:
     """What a block may hold, by `plain` keyword."""
     if block in _TABLES:
         return _TABLES[block]
-    found = _TABLES[block] = {}
+    found: dict[str, Entry] = {}
     for entry in dataclasses.fields(block) if dataclasses.is_dataclass(block) else ():
         if "keyword" not in entry.metadata:
             continue
@@ -132,6 +132,7 @@ def table(block: type) -> dict[str, Entry]:
             found[plain(name)] = Entry(name, entry.name, form)
     if block in (UnitDiagType, Area):  # X_Unit_Diag_Bit, X_Value
         found.update({"x" + key: dataclasses.replace(entry, keyword="X_" + entry.keyword) for key, entry in found.items()})
+    _TABLES[block] = found
     return found
 
 
@@ -170,6 +171,8 @@ class Reader:
         self.stack = [Open(device, Block((), ()), "")]
         self.given: dict[tuple[int, str, int | None], int] = {}
         """Where a field of an object (by `id`), at an index if it has one, was filled: offset in the source."""
+        self.made: list[object] = []
+        """All objects of blocks, so that no `id` comes twice."""
         self.ends = {plain(found[1] or found[2]): found.start() for found in _END.finditer(source.text)}
         """The names of blocks that end somewhere, known here or not, and where the last of them ends."""
 
@@ -217,7 +220,8 @@ class Reader:
         if key in BLOCKS and isinstance(what, BLOCKS[key].within):
             name = f"{statement.keyword} {statement.raw[:40]}".strip()
             try:
-                self.stack.append(Open(BLOCKS[key].make(self, what, statement), BLOCKS[key], name, key))
+                self.made.append(BLOCKS[key].make(self, what, statement))
+                self.stack.append(Open(self.made[-1], BLOCKS[key], name, key))
             except Bad as bad:
                 self.note(ERROR, statement, f"{name}: {bad}; it is left out")
                 self.kept(key, statement)
@@ -306,7 +310,7 @@ class Reader:
         elif form is Form.TEXT:
             value = self.text(statement)
         elif form is Form.TEXTS:
-            index, value = self.index(statement), self.text(statement)
+            index, value = self.index(statement, signed=isinstance(what, PrmText)), self.text(statement)
         else:
             self.append(getattr(what, entry.field), form, statement)
             return
@@ -321,8 +325,8 @@ class Reader:
             entries.append(whole(statement.values))
         self.given[id(entries), "", len(entries) - 1] = statement.offset
 
-    def index(self, statement: Statement) -> int:
-        if statement.index is None or statement.last is not None:
+    def index(self, statement: Statement, signed: bool = False) -> int:
+        if statement.index is None or statement.last is not None or (statement.index < 0 and not signed):
             raise Bad("a number in brackets is missing")
         return statement.index
 
@@ -370,6 +374,8 @@ def parameter(reader: Reader, device: Device, statement: Statement) -> Parameter
 
 def parameter_type(reader: Reader, found: Parameter, statement: Statement) -> None:
     """``BitArea(0-2) 3 0-4``: type, default, what is allowed."""
+    if (id(found), "type", None) in reader.given:
+        raise Bad(f"{found.name!r} has a type already, {found.type}, and that one counts")
     values = statement.values
     default, at = _whole(values)
     if at < len(values) and values[at][1] == "-" and values[at][2] == values[at - 1][2] + len(values[at - 1][1]):
@@ -380,7 +386,7 @@ def parameter_type(reader: Reader, found: Parameter, statement: Statement) -> No
     if name in ("Bit", "BitArea"):
         first = 0 if statement.index is None else statement.index
         last = first if statement.last is None else statement.last
-        if statement.index is None or not first <= last <= 31:
+        if statement.index is None or not 0 <= first <= last <= 31:
             raise Bad("bits of one value are numbered 0 to 31, the first one first")
         found.first, found.last = first, last
     reader.fill(found, "type", None, name, statement)
@@ -411,6 +417,8 @@ def slot(reader: Reader, block: SlotDefinition, statement: Statement) -> None:
     default, at = _whole(rest)
     at += at < len(rest) and rest[at][1] == ","
     found = Slot(reader.index(statement), name, default, ranges(rest, at) or [(default, default)])
+    if found.number > SLOT_MAX:
+        raise Bad(f"slots are numbered 0 to {SLOT_MAX}")
     reader.fill(reader.device, "slots", found.number, found, statement)
 
 

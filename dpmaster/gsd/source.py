@@ -199,8 +199,10 @@ class Source:
             return at, None, None
         close = next((i for i in range(at + 1, min(at + 6, len(line))) if line[i][1] == ")"), None)
         inside = line[at + 1 : close]
-        if close is not None and [token[0] for token in inside] in (["number"], ["number", "mark", "number"]):
-            return close + 1, number(inside[0][1]), number(inside[-1][1]) if len(inside) > 1 else None
+        sign = -1 if inside and inside[0][1] == "-" else 1
+        kinds = [token[0] for token in inside[sign < 0 :]]
+        if close is not None and kinds in (["number"], ["number", "mark", "number"]):
+            return close + 1, sign * number(inside[sign < 0][1]), number(inside[-1][1]) if len(kinds) > 1 else None
         self.note(Severity.ERROR, line[at][2], "an index is a number in brackets, or two with - between them")
         return (at + 1 if close is None else close + 1), None, None
 

@@ -14,9 +14,8 @@ from dpmaster import _arguments
 from dpmaster.errors import ConfigurationError
 from dpmaster.gsd import GSD, Configuration, Parameters, Place
 from dpmaster.gsd.configuration import Chosen
+from dpmaster.identifier import IO_MAX
 from dpmaster.station import Station
-
-OCTETS_MAX = 244
 
 
 class GSDStation(Station):
@@ -39,6 +38,9 @@ class GSDStation(Station):
         super().__init__(address, device.ident_number, self.gsd.octets, self.gsd.user_parameters,
                          fail_safe=self.gsd.fail_safe, **taken | options)
         self.gsd.watch(self._take)
+
+    def _before_operate(self) -> list[str]:
+        return [*super()._before_operate(), *self.gsd.notes]
 
     def _take(self, user_parameters: bytes) -> None:
         self.user_parameters = user_parameters
@@ -89,7 +91,7 @@ class ModuleImage:
     def update(self, offset: int, octets: bytes | bytearray | Iterable[int], keep: bytes = b"") -> int:
         """Change outputs of the module, `offset` counted in it, as `Station.update` does it; returns the commit's number."""
         span = self.place.outputs
-        data = _arguments.octets(f"outputs of {self!r}", octets, 0, OCTETS_MAX)
+        data = _arguments.octets(f"outputs of {self!r}", octets, 0, IO_MAX)
         if not isinstance(offset, int) or offset < 0 or offset + len(data) > span.length:
             raise ConfigurationError(f"{self!r} has {span.length} output octets; {len(data)} at offset {offset!r} do not fit")
         return self.station.update(span.offset + offset, data, keep)
