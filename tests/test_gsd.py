@@ -193,6 +193,7 @@ def test_the_first_of_two_counts() -> None:
     ('SlotDefinition\nSlot(1) = "s" 7 1,7\nEndSlotDefinition', "its default 7 is no module's reference"),
     ('ExtUserPrmData = 1 "x"\nUnsigned8 9 0-9\nBitArea(2-9) 0 0-1\nEndExtUserPrmData', "a type already, Unsigned8"),
     ("Unit_Diag_Bit(-1) = \"x\"", "a number in brackets"), ("SlotDefinition\nSlot(255) = \"s\" 1 1", "0 to 254"),
+    ('SlotDefinition\nSlot(1) = "s" 1 2-9\nEndSlotDefinition', "none of those it allows"),
     ('Module = "a" 0x10\n7\nExt_Module_Prm_Data_Len = 238', "238, 0 to 237: not taken"),
     ('Module = "a" 0x10\n1\nEndModule', "is that of 'a' already"), ("Unit_Diag_Area = 5-999999999", "0 to 495"),
     ('Module = "a" 0x10\n7\nExt_Module_Prm_Data_Len = 1\nExt_User_Prm_Data_Const(0) = 1,2', "Ext_Module_Prm_Data_Len"),
@@ -206,8 +207,8 @@ def test_what_is_wrong_is_found(text: str, part: str) -> None:
 
 def test_objects_that_are_dropped_leave_nothing_behind() -> None:
     """A second PrmText of one number is read and forgotten; what comes next is not taken for it."""
-    gsd = parse("".join(f'PrmText = {n // 2}\nText({n}) = "{n}"\nEndPrmText\n' for n in range(200)))
-    assert [found.texts for found in gsd.prm_texts.values()] == [{2 * n: f"{2 * n}"} for n in range(100)]
+    gsd = parse("".join(f'PrmText = {n // 2}\nText(0) = "{n}"\nEndPrmText\n' for n in range(200)))
+    assert [found.texts for found in gsd.prm_texts.values()] == [{0: f"{2 * n}"} for n in range(100)]
     assert all("PrmText was given" in text for text in texts(gsd)) and len(gsd.findings) == 100
 
 

@@ -215,6 +215,8 @@ def test_the_map_of_inputs_and_outputs(rack: GSD) -> None:
     words, octet = configuration[1].identifiers
     assert words.inputs and words.outputs and octet.inputs
     assert (words.inputs.offset, words.inputs.unit, words.inputs.consistent, octet.inputs.offset) == (0, 2, False, 6)
+    (word,) = configuration["Out 2"].identifiers
+    assert word.outputs and (word.outputs.offset, word.slot) == (6, 4)
     (special,) = configuration["In"].identifiers
     assert special.inputs and (special.inputs.offset, special.inputs.consistent) == (7, True)
     assert (special.slot, special.specific) == (3, b"\7")
