@@ -163,6 +163,7 @@ def test_an_address_of_this_wire_that_is_taken_stays_its_owners() -> None:
     assert lib.dpm_slaves_set_address(rig.slaves, 1, 5, False, rig.time) == lib.DPM_E_DUPLICATE
     assert lib.dpm_slaves_set_address(rig.slaves, 1, 127, False, rig.time) == lib.DPM_E_ADDRESS
     assert lib.dpm_slaves_set_address(rig.slaves, 2, 7, False, rig.time) == lib.DPM_E_ARGUMENT
+    assert lib.dpm_slaves_set_address(rig.slaves, 0, 5, False, rig.time) == 0, "its own"
     # Moved away, the first one's address is free, and the two do not mix.
     assert lib.dpm_slaves_set_address(rig.slaves, 0, 6, True, rig.time) == 0
     assert Initiator(rig, slave=126).srd(SET_SLAVE_ADD, octets("05 0A 35 00")) == SC
