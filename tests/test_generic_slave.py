@@ -23,8 +23,9 @@ from gsd_files import path as gsd_path
 from slave_rig import octets, telegram
 
 from dpmaster import ClosedError, ConfigurationError, DPTimeout, Master, Station, StationState
+from dpmaster.cli import main
 from dpmaster.emulator import Exchange, Habits, Segment, SlaveState, blocks
-from dpmaster.emulator.cards import GenericSlave
+from dpmaster.emulator.cards import SIP1, GenericSlave
 from dpmaster.emulator.host import slave_config
 from dpmaster.gsd import GSD
 
@@ -179,6 +180,12 @@ def test_every_habit_is_a_field_of_the_slave() -> None:
             assert [getattr(config, other) for other in names] == [number if other == name else 0 for other in names]
         with pytest.raises(ConfigurationError, match=field.name):
             Habits(**{field.name: "perhaps"})
+
+
+def test_any_card_may_have_habits() -> None:
+    card = SIP1(5)
+    card.habits = Habits(wrong_length="ue")
+    assert (slave_config(card).wrong_length_ue, slave_config(SIP1(5)).wrong_length_ue) == (True, False)
 
 
 def test_the_other_settings() -> None:
@@ -544,8 +551,6 @@ def converse(command: subprocess.Popen[str], link: Path) -> None:
     (["--ident", "1", "--config", "33", "--identity", "ACME"], "--identity"),
 ])
 def test_wrong_arguments_are_named(options: list[str], names: str, capsys: pytest.CaptureFixture[str]) -> None:
-    from dpmaster.cli import main
-
     assert main(["emulate", "generic", "--address", "5", *options]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1 and names in error

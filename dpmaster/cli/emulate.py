@@ -40,6 +40,9 @@ def _add(cards: argparse._SubParsersAction[argparse.ArgumentParser], name: str, 
     where.add_argument("--on", metavar="PATH", help="join the wire at this serial port or segment's port")
     parser.add_argument("--baudrate", type=int, metavar="B",
                         help=f"bit/s: paces the card's own pty, which without it is unpaced; with --on {RATE} by default")
+    habits = "; ".join(f"{name} {'|'.join(words)}" for name, words in Habits.WORDS.items())
+    parser.add_argument("--habit", action="append", default=[], metavar="NAME=WORD",
+                        help=f"what it does where the standard's readers disagree, the default first: {habits}")
     arguments(parser)
 
 
@@ -111,9 +114,6 @@ def _common_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--echo", action="store_true", help="its inputs are its outputs")
     parser.add_argument("--identity", metavar="VENDOR,CONTROLLER,HARDWARE,SOFTWARE", help="what Ident is answered; default RS")
     parser.add_argument("--input", action="append", default=[], metavar="OFFSET=HEX", help="inputs to begin with")
-    habits = "; ".join(f"{name} {'|'.join(words)}" for name, words in Habits.WORDS.items())
-    parser.add_argument("--habit", action="append", default=[], metavar="NAME=WORD",
-                        help=f"what it does where the standard's readers disagree, the default first: {habits}")
 
 
 def _generic(args: argparse.Namespace) -> Card:
@@ -129,7 +129,7 @@ def _gsd(args: argparse.Namespace) -> Card:
 
 
 def _common(args: argparse.Namespace) -> dict[str, Any]:
-    return {"auto_baud": args.auto_baud, "echo": args.echo, "identity": _identity(args.identity), "habits": _habits(args.habit)}
+    return {"auto_baud": args.auto_baud, "echo": args.echo, "identity": _identity(args.identity)}
 
 
 def _begin(slave: GenericSlave, args: argparse.Namespace) -> Card:
@@ -173,7 +173,8 @@ def _habits(given: list[str]) -> Habits:
 
 
 def run(args: argparse.Namespace) -> int:
-    card = args.make(args)
+    card: Card = args.make(args)
+    card.habits = _habits(args.habit)
     try:
         if args.on is not None:
             _join(card, args)
