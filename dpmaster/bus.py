@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 import threading
+import time
 import weakref
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -105,7 +106,7 @@ _REMEDIES = {
     "NOT_TTY": "give that of one, or a segment's port()",
     "RATE": "'dpmaster doctor {path}' tells which it makes",
     "RS485": "leave direction= out",
-    "GONE": "plug it in again, or open its segment, and open a new one",
+    "GONE": "plug it in, or start its segment again: the exchange resumes by itself, with safe outputs; or open a new one",
 }
 
 
@@ -248,6 +249,20 @@ class Bus:
         self.guard()
         self._call(lib.dpm_bus_change(self._handle, index, settings), "change the station", address=settings.address)
 
+    def new_prm(self, index: int) -> None:
+        self.guard()
+        self._call(lib.dpm_bus_new_prm(self._handle, index), "parameterise the station anew")
+
+    def activate(self, index: int, active: bool) -> None:
+        self.guard()
+        self._call(lib.dpm_bus_activate(self._handle, index, active), f"{'' if active else 'de'}activate the station")
+
+    def remove(self, index: int, memory: tuple[Any, ...]) -> None:
+        """Take a slave that is inactive from the thread, and with it the need to keep its memory."""
+        self.guard()
+        self._call(lib.dpm_bus_remove(self._handle, index), "remove the station")
+        self._kept[:] = [each for each in self._kept if each is not memory]
+
     def set_mode(self, mode: Mode) -> None:
         self.guard()
         self._call(lib.dpm_bus_set_mode(self._handle, mode), f"go to {mode.name.title()}")
@@ -308,11 +323,29 @@ class Bus:
         """Carry out one ``dpm_raw``: True when it is done, False when `timeout` passed and it was taken back."""
         self.guard()
         self._call(lib.dpm_bus_request(self._handle, raw), "request", address=raw.da)
+        return self._await_done(raw, lib.dpm_bus_cancel, timeout)
+
+    def order(self, control: Any, timeout: float | None) -> bool:
+        """The same for one ``dpm_control``; that of another thread comes first."""
+        deadline = None if timeout is None else time.monotonic() + timeout
+
+        def placed() -> int | None:
+            code = int(lib.dpm_bus_order(self._handle, control))
+            return None if code == lib.DPM_E_BUSY else code
+
+        code = self.wait(placed, timeout)
+        if code is None:
+            return False
+        self._call(code, "order Global_Control")
+        left = None if deadline is None else max(0.0, deadline - time.monotonic())
+        return self._await_done(control, lib.dpm_bus_revoke, left)
+
+    def _await_done(self, job: Any, take_back: Callable[[Any, Any], int], timeout: float | None) -> bool:
         try:
-            return self.wait(lambda: raw.done or None, timeout) is not None
+            return self.wait(lambda: job.done or None, timeout) is not None
         finally:
-            if not raw.done:  # its memory is ours again only after this
-                lib.dpm_bus_cancel(self._handle, raw)
+            if not job.done:  # its memory is ours again only after this
+                take_back(self._handle, job)
 
     def wait(self, ready: Callable[[], T | None], timeout: float | None) -> T | None:
         """Wait until `ready` returns something: that, or None after `timeout` s. In the thread of the last commit it feeds."""

@@ -560,7 +560,7 @@ def judge(reason: int, diagnosis: Diagnosis | None) -> int:
 
 
 _BEHIND = {
-    Diag.PRM_FAULT: Reason.PRM_FAULT, Diag.CFG_FAULT: Reason.CFG_FAULT, Diag.NOT_SUPPORTED: Reason.NOT_SUPPORTED,
+    Diag.NOT_SUPPORTED: Reason.NOT_SUPPORTED, Diag.PRM_FAULT: Reason.PRM_FAULT, Diag.CFG_FAULT: Reason.CFG_FAULT,
 }
 
 

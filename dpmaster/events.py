@@ -46,6 +46,7 @@ class EventKind(Named):
     DUPLICATE = 10
     LIVE = 11
     ECHO = 12
+    AUTO_CLEAR = 13
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +87,8 @@ class Event:
                 return "port works" if not self.a else f"port: {_core.error(self.a)}"
             case EventKind.DUPLICATE:
                 return "another station on the bus has this address, which is ours: the bus was left"
+            case EventKind.AUTO_CLEAR:
+                return "not in data transfer for data_control_time: auto_clear went to Clear, operate() again"
             case EventKind.LIVE:
                 return f"live list: {Live(self.b).text} -> {Live(self.a).text}"
             case EventKind.ECHO:

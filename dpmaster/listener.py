@@ -32,7 +32,7 @@ class Listener:
         config.station.parameters = chosen.to_c()[0]
         config.station.role = lib.DPM_ROLE_PASSIVE
         config.slaves = 1
-        config.control_interval = NS
+        config.data_control_time = NS
         try:
             self._bus.start(config, 1)
             self._bus.set_mode(Mode.STOP)

@@ -12,12 +12,12 @@ import functools
 import logging
 import math
 import os
+import signal
 import threading
 import time
 import weakref
-from collections.abc import Mapping
+from collections.abc import Mapping, MutableMapping
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from dpmaster import _arguments, _core
@@ -30,10 +30,11 @@ from dpmaster.events import Event, EventKind, Events
 from dpmaster.live import HIGHEST, LiveEntry, LiveList, RingView
 from dpmaster.parameters import BusParameters
 from dpmaster.realtime import Realtime
+from dpmaster.services import Answer, Service, Services
 from dpmaster.station import Station
 from dpmaster.timing import TSL_MAX, WATCHDOG_MAX, Slave, cycle, default_watchdog, tsl_needed
 
-__all__ = ["Answer", "Master", "MasterStatistics", "Mode", "Service"]
+__all__ = ["Answer", "Master", "MasterStatistics", "MasterStatus", "Mode", "Service"]
 
 if TYPE_CHECKING:
     from dpmaster.aio import AsyncMaster
@@ -41,59 +42,22 @@ if TYPE_CHECKING:
 S = TypeVar("S", bound=Station)
 
 log = logging.getLogger(__name__)
+Log = logging.LoggerAdapter[logging.Logger]
 
-CONTROL_INTERVAL = 1 / 3  # s between repetitions of Global_Control: a third of a Data_Control_Time of 1 s
 REST_TIME = 1.0  # s for the stop words of all drives together, once no more are begun
 TOLD = 8  # stations whose reasons an error of operate() gives; of more only the addresses
 LEAVE_TIME = 1.0  # s for Clear, unlock and the last telegram
 
 
-class Service(IntEnum):
-    """FDL services a program may ask for by hand; SRD and SDN are those of high priority, as DP uses them."""
-
-    SDA_LOW = 0x03
-    SDN_LOW = 0x04
-    SDA = 0x05
-    SDN = 0x06
-    FDL_STATUS = 0x09
-    SRD_LOW = 0x0C
-    SRD = 0x0D
-    IDENT = 0x0E
-    LSAP_STATUS = 0x0F
-
-
-_RESULTS = {
-    0x0: "OK", 0x1: "UE: user error", 0x2: "RR: no resources", 0x3: "RS: service not activated", 0x8: "DL: data",
-    0x9: "NR: no data", 0xA: "DH: data, and diagnosis is waiting", 0xC: "RDL: data, but the request's were not taken",
-    0xD: "RDH: data of high priority, but the request's were not taken",
-}
-
-
 @dataclass(frozen=True, slots=True)
-class Answer:
-    """What came back for a request by hand.
+class MasterStatus:
+    """Master_Status: where the master stands, all of one moment."""
 
-    ``fc`` is the answer's frame control, None for a short acknowledge and for SDN, which has no answer. ``tsdr`` is the time
-    from the request's end to the answer's first bit in s, None where the port cannot tell. ``tries`` counts telegrams sent,
-    0 for SDN.
-    """
-
-    fc: int | None
-    data: bytes
-    tsdr: float | None
-    tries: int
-
-    @property
-    def ok(self) -> bool:
-        """The service was carried out."""
-        return self.fc is None or self.fc & 0x0F in (0x0, 0x8, 0x9, 0xA)
-
-    @property
-    def meaning(self) -> str:
-        """The result in words: "RS: service not activated"."""
-        if self.fc is None:
-            return "acknowledged" if self.tries else "sent"
-        return _RESULTS.get(self.fc & 0x0F, f"FC {self.fc:02X}h")
+    mode: Mode  # USIF_State
+    fdl_state: FdlState
+    latched: bool  # the output watchdog ran out
+    auto_cleared: int | None  # the station for whose sake auto_clear left Operate
+    foreign: int | None  # address of the foreign master heard last
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +93,13 @@ class MasterStatistics:
 _live: weakref.WeakSet[Master] = weakref.WeakSet()
 
 
+class _Named(Log):
+    """Every line names the master: a program may have several."""
+
+    def process(self, msg: Any, kwargs: MutableMapping[str, Any]) -> tuple[Any, MutableMapping[str, Any]]:
+        return f"{self.extra['who'] if self.extra else ''}: {msg}", kwargs
+
+
 @atexit.register
 def _close_all() -> None:
     """Stop words, Clear and unlock while there is an interpreter to say them."""
@@ -137,10 +108,10 @@ def _close_all() -> None:
             try:
                 master.close()
             except Exception:
-                log.exception("closing the master on %s at exit", master._bus.path)
+                master._log.exception("closing it at exit")
 
 
-class Master:
+class Master(Services):
     """A DP master on a port, which is opened at once; the bus is silent until the first operate(), clear(), stop(), request().
 
     port: path of a serial port or pty, or a `Segment`'s port. baudrate: a nominal rate in bit/s. address: 0..125, its own.
@@ -158,6 +129,12 @@ class Master:
     direction: who switches the transceiver: None: hat or adapter by itself, or the driver as the device tree has set it;
     "rs485": the driver's RS-485 mode, RTS active while sending; "rs485-inverted": while not sending.
 
+    auto_clear: Error_Action_Flag: when an active station was not in data transfer for data_control_time s, the master goes from
+    Operate to Clear, and operate() wants all of them. data_control_time: s, 0.01..655.35; Global_Control is repeated three
+    times in it. data_retries: Max-Retry-Limit(DX), repetitions of a Data_Exchange within its cycle, 0..15, None: the
+    parameters' max_retry_limit; with fewer the cycle keeps its pace when an answer is lost, and the station is lost after
+    max_retry_limit repetitions all the same, those of later cycles among them.
+
     realtime: how the bus thread is scheduled, a `Realtime`; True: its defaults; None: these on a serial port, where the user
     may. What the system refuses is logged and stands in ``statistics.port.scheduling``.
 
@@ -168,11 +145,15 @@ class Master:
     def __init__(self, port: str, baudrate: int = 500_000, address: int = 1, *, parameters: BusParameters | None = None,
                  cycle_time: float | None = None, output_watchdog: float | None = 1.0, echo: bool | None = None,
                  profile: str | None = None, allowance: float | None = None, max_stations: int = 126,
-                 ring: bool | None = None, realtime: Realtime | bool | None = None,
+                 ring: bool | None = None, auto_clear: bool = False, data_control_time: float = 1.0,
+                 data_retries: int | None = None, realtime: Realtime | bool | None = None,
                  direction: str | None = None) -> None:
         self.check_options(address, max_stations=max_stations, cycle_time=cycle_time, output_watchdog=output_watchdog,
-                           parameters=parameters, ring=ring)
+                           parameters=parameters, ring=ring, data_control_time=data_control_time, data_retries=data_retries)
         self.address = address
+        self.auto_clear = bool(auto_clear)
+        self.data_control_time = data_control_time
+        self.data_retries = data_retries
         self.cycle_time = cycle_time
         self.output_watchdog = output_watchdog
         self._room = max_stations
@@ -187,6 +168,7 @@ class Master:
         rate = self._parameters.rate
         self._bus = Bus(port, (rate.numerator, rate.denominator), echo=echo, profile=profile, allowance=allowance,
                         realtime=realtime, direction=direction)
+        self._log = _Named(log, {"who": f"master {address} on {self._bus.path}"})
         self._ring = ring
         self._live_list = LiveList(self)
         try:
@@ -198,7 +180,8 @@ class Master:
 
     @staticmethod
     def check_options(address: int = 1, *, parameters: BusParameters | None = None, cycle_time: float | None = None,
-                      output_watchdog: float | None = 1.0, max_stations: int = 126, ring: bool | None = None) -> None:
+                      output_watchdog: float | None = 1.0, max_stations: int = 126, ring: bool | None = None,
+                      auto_clear: bool = False, data_control_time: float = 1.0, data_retries: int | None = None) -> None:
         """Raise ConfigurationError, naming argument, value and rule, if a Master would not take these; no port is needed."""
         _arguments.whole("the master's address", address, 0, lib.DPM_ADDRESS_MAX)
         _arguments.whole("max_stations", max_stations, 1, 126)
@@ -210,6 +193,10 @@ class Master:
             raise ConfigurationError(f"parameters {parameters!r}: give BusParameters, or None for the standard set")
         if ring not in (None, False, True):
             raise ConfigurationError(f"ring {ring!r}: True, False, or None: if Tsl has room for it")
+        if not _arguments.number(data_control_time) or not 0.01 <= data_control_time <= 655.35:
+            raise ConfigurationError(f"data_control_time {data_control_time!r} s: 0.01 to 655.35 s")
+        if data_retries is not None:
+            _arguments.whole("data_retries", data_retries, 0, 15, ", or None: as max_retry_limit of the parameters")
 
     @classmethod
     def from_file(cls, path: str | os.PathLike[str], port: str | None = None, **options: Any) -> Master:
@@ -269,9 +256,30 @@ class Master:
                         self._warn_of(station)
                 except BaseException:
                     del self._stations[station.address]
-                    station._master = None
+                    station._detach(station.active)
                     raise
         return station
+
+    def remove(self, station: Station, timeout: float = LEAVE_TIME) -> None:
+        """Take a station out, before or while the bus runs, as `Station.deactivate` does it; its place is free for another.
+
+        The others' exchange goes on. The object may be added again, also to another master. Raises ConfigurationError when it
+        is not here, DPTimeout, ClosedError.
+        """
+        self._bus.guard()
+        if station not in self.stations:
+            raise ConfigurationError(f"{station!r} is none of this master's stations: nothing to remove")
+        active = station.active
+        station.deactivate(timeout)
+        with self._lock:
+            if station not in self._stations.values():
+                return  # another thread was faster
+            if station._index is not None:
+                self._bus.remove(station._index, station._memory)
+            del self._stations[station.address]
+            station._detach(active)
+            if self._bus.master is not None:
+                self._settle_watchdogs()
 
     def _check_room(self, station: Station) -> None:
         if not isinstance(station, Station):
@@ -337,7 +345,9 @@ class Master:
             config.slaves = self._room
             config.cycle_time = round((self.cycle_time or 0) * NS)
             config.output_watchdog = math.ceil((self.output_watchdog or 0) * NS)  # 0 is off
-            config.control_interval = round(CONTROL_INTERVAL * NS)
+            config.data_control_time = round(self.data_control_time * NS)
+            config.auto_clear = self.auto_clear
+            config.data_retries = -1 if self.data_retries is None else self.data_retries
             self._listen()
             self._bus.start(config, self._room)
             for station in self._stations.values():
@@ -348,7 +358,7 @@ class Master:
 
     def _listen(self) -> None:
         """Log what happens from a thread of its own, which keeps neither the master nor the interpreter alive."""
-        self._logger = threading.Thread(target=_log_events, args=(weakref.ref(self), Events(self._bus, 256)),
+        self._logger = threading.Thread(target=_log_events, args=(weakref.ref(self), Events(self._bus, 256), self._log),
                                         name="dpmaster-log", daemon=True)
         self._logger.start()
 
@@ -395,18 +405,23 @@ class Master:
     def operate(self, timeout: float | None = 5.0, partial: bool = False) -> None:
         """Bring every active station into Data_Exchange, then Operate: from now on commits reach the stations.
 
-        timeout: s for all stations together. When some are missing then, StationError (one refuses) or DPTimeout says which and
-        why, and the mode stays Clear, with the others exchanging; with `partial` it goes on with those that are there. It also
-        ends a latch of the output watchdog. Raises PortError when the port vanished, ConfigurationError, ClosedError.
+        timeout: s for all stations together, None: for ever. When some are missing then, or earlier when all that are missing
+        have refused for good, StationError (one refuses) or DPTimeout says which and why, and the mode stays Clear, with the
+        others exchanging; with `partial` it goes on with those that are there. It also ends a latch of the output watchdog and
+        what auto_clear did. Raises PortError when the port vanished, ConfigurationError, ClosedError.
         """
+        if partial and self.auto_clear:
+            raise ConfigurationError("partial=True with auto_clear=True, which operates with all active stations or not at "
+                                     "all: deactivate() those that may be missing")
         self._start()
         self._warn()
         self._settle_watchdogs()
         if self.mode != Mode.OPERATE:
             self._bus.set_mode(Mode.CLEAR)
+        begin = time.monotonic()
         missing = self._await_stations(timeout)
         if missing and not partial:
-            raise self._missing_error(missing, timeout)
+            raise self._missing_error(missing, time.monotonic() - begin)
         if self.mode != Mode.OPERATE:  # again while it operates would take the watchdog's last feed for a new start
             self._bus.set_mode(Mode.OPERATE)
             self._bus.fed_thread = _core.caller()
@@ -438,19 +453,20 @@ class Master:
 
     def _rest_stations(self) -> None:
         """"Clear alone is not stillness": each drive says its stop word first; none can keep the master from leaving."""
-        if self.mode != Mode.OPERATE:
-            return
         deadline = time.monotonic() + REST_TIME
         for station in self.stations:
-            if station.state != StationState.DATA:
-                continue
-            if time.monotonic() > deadline:
-                log.error("%s: no time left for its stop word, it goes to Clear as it is", station.name)
-                continue
-            try:
-                station._rest()
-            except Exception:
-                log.exception("%s: its stop word was not answered", station.name)
+            if time.monotonic() <= deadline:
+                self._rest(station)
+            elif station.state == StationState.DATA:
+                self._log.error("%s: no time left for its stop word, it goes to Clear as it is", station.name)
+
+    def _rest(self, station: Station) -> None:
+        if self.mode != Mode.OPERATE or station.state != StationState.DATA:
+            return
+        try:
+            station._rest()
+        except Exception:
+            self._log.exception("%s: its stop word was not answered", station.name)
 
     def _await_mode(self, mode: Mode, timeout: float) -> None:
         if self._bus.wait(lambda: True if self._status().mode == mode else None, timeout) is None:
@@ -458,30 +474,37 @@ class Master:
             raise DPTimeout(f"the master did not reach {mode.name.title()} in {timeout} s, it is in {self.mode.name.title()}")
 
     def _await_stations(self, timeout: float | None) -> list[Station]:
-        """Wait until all active stations exchange; those that do not, after `timeout` s."""
+        """Wait until all active stations exchange; those that do not, after `timeout` s or when they refuse for good."""
         def absent(station: Station) -> bool:
             return station.active and station.state != StationState.DATA
 
-        def ready() -> bool | None:
+        def settled() -> list[Station] | None:
             self._bus.check_port()
             self._check_address()
-            return None if any(map(absent, self.stations)) else True
+            missing = list(filter(absent, self.stations))
+            final = missing and timeout is not None and all(station._refuses_for_good() for station in missing)
+            return missing if final or (not missing and self._all_transfer()) else None
 
-        return [] if self._bus.wait(ready, timeout) else list(filter(absent, self.stations))
+        found = self._bus.wait(settled, timeout)
+        return list(filter(absent, self.stations)) if found is None else found
+
+    def _all_transfer(self) -> bool:
+        """With auto_clear: "Clear -> Operate only when all were in data exchange within Data_Control_Time"."""
+        return not self.auto_clear or self.data_transfer_list >= {s.address for s in self.stations if s.active}
 
     def _check_address(self) -> None:
         if self._bus.ring().duplicate:
             raise StationError(f"another station on the bus has address {self.address}, which is this master's: the bus was "
                                "left; give one of them another", address=self.address, reason="has the master's own address")
 
-    def _missing_error(self, missing: list[Station], timeout: float | None) -> DPError:
+    def _missing_error(self, missing: list[Station], waited: float) -> DPError:
         refusing = [station for station in missing if station._refuses()]
         named = refusing[:TOLD] + [station for station in missing if station not in refusing][:max(0, TOLD - len(refusing))]
         lines = "; ".join(f"{station.name} (address {station.address}) {station.reason}" for station in named)
         if len(named) < len(missing):
             others = (str(station.address) for station in missing if station not in named)
             lines += f"; and the stations at {', '.join(others)}"
-        text = f"{len(missing)} of {len(self.stations)} stations not in Data_Exchange after {timeout} s: {lines}"
+        text = f"{len(missing)} of {len(self.stations)} stations not in Data_Exchange after {waited:.1f} s: {lines}"
         status = self._status()
         if status.foreign >= 0 and status.fdl_state == FdlState.LISTEN_TOKEN:
             text += f"; master {status.foreign} has the bus"
@@ -497,16 +520,15 @@ class Master:
 
     def _warn(self) -> None:
         if self.output_watchdog is None:
-            log.warning("the output watchdog is off: when this program hangs, drives run on with its last commit")
+            self._log.warning("the output watchdog is off: when this program hangs, drives run on with its last commit")
         for station in self.stations:
             self._warn_of(station)
 
-    @staticmethod
-    def _warn_of(station: Station) -> None:
+    def _warn_of(self, station: Station) -> None:
         if station.active and station.watchdog is None:
-            log.warning("%s: its watchdog is off, its outputs stay when the master dies", station.name)
+            self._log.warning("%s: its watchdog is off, its outputs stay when the master dies", station.name)
         for text in station._before_operate():
-            log.warning("%s: %s", station.name, text)
+            self._log.warning("%s: %s", station.name, text)
 
     # ---- waits, events, requests
 
@@ -574,24 +596,23 @@ class Master:
         self._bus.check_port()
         return self._live_list.read(self._bus.ring(), highest)
 
-    def request(self, address: int, service: str | Service = Service.SRD, dsap: int | None = None, ssap: int | None = None,
-                data: bytes = b"", timeout: float | None = 1.0) -> Answer:
-        """Carry out one FDL service by hand, between the cycle's own telegrams, or in Stop on a bus that is otherwise idle.
+    @property
+    def data_transfer_list(self) -> frozenset[int]:
+        """Data_Transfer_List: addresses of stations that were in data transfer within the last `data_control_time`."""
+        return _addresses(self._begun().data_transfer)
 
-        address: 0..126, 127 (all) for SDN. service: a `Service` or its name. dsap, ssap: 0..63, both or neither. data: up
-        to 246 octets, 244 behind SAPs. Raises StationError when nobody answers, ConfigurationError, DPTimeout after
-        `timeout` s without a turn on the bus.
-        """
-        raw = _raw_request(address, service, dsap, ssap, data)
-        self._start()
-        if self.mode == Mode.OFFLINE:
-            self._bus.set_mode(Mode.STOP)
-        if not self._bus.request(raw, timeout):
-            self._bus.check_port()
-            raise DPTimeout(f"the request to station {address} had no turn on the bus in {timeout} s")
-        if raw.status == lib.DPM_CONF_DS:
-            self._bus.check_port()  # it may be the reason why nothing was asked
-        return _answer(raw)
+    @property
+    def system_diagnostic(self) -> frozenset[int]:
+        """System_Diagnostic: addresses of active stations not in Data_Exchange, or whose diagnosis reports something."""
+        return _addresses(self._begun().system_diagnostic)
+
+    @property
+    def master_status(self) -> MasterStatus:
+        """Raises NotOperatingError before the bus has begun, as these lists do; ClosedError."""
+        status = self._begun()
+        return MasterStatus(Mode(status.mode), FdlState(status.fdl_state), status.latched,
+                            None if status.auto_cleared < 0 else status.auto_cleared,
+                            None if status.foreign < 0 else status.foreign)
 
     @property
     def statistics(self) -> MasterStatistics:
@@ -615,7 +636,7 @@ class Master:
         """Leave the bus: stop words, Clear, unlock, silence; then end the thread and close the port.
 
         Idempotent, from any thread, within 3 s whatever the bus does; wakes everybody who waits with ClosedError. It runs by
-        itself when the interpreter ends.
+        itself when the interpreter ends. Ctrl-C meanwhile skips stop words that are not said yet, never Clear and unlock.
         """
         self._bus.process.guard(f"the master on {self._bus.path}")
         with self._closing:
@@ -624,7 +645,7 @@ class Master:
             try:
                 self.offline()
             except DPError as error:
-                log.warning("leaving the bus on %s: %s", self._bus.path, error)
+                self._log.warning("leaving the bus: %s", error)
             finally:
                 self._bus.close()
                 _live.discard(self)
@@ -640,59 +661,28 @@ class Master:
             self.close()
 
 
-def _raw_request(address: int, service: str | Service, dsap: int | None, ssap: int | None, data: bytes) -> Any:
-    """A checked ``dpm_raw``."""
-    try:
-        chosen = Service[service.upper()] if isinstance(service, str) else Service(service)
-    except (KeyError, ValueError):
-        raise ConfigurationError(f"service {service!r}: one of {', '.join(s.name for s in Service)}") from None
-    highest = 127 if chosen in (Service.SDN, Service.SDN_LOW) else 126
-    _arguments.whole("address", address, 0, highest, f" for {chosen.name}")
-    if (dsap is None) != (ssap is None):
-        raise ConfigurationError(f"dsap {dsap}, ssap {ssap}: give both or neither")
-    for name, sap in (("dsap", dsap), ("ssap", ssap)):
-        if sap is not None:
-            _arguments.whole(name, sap, 0, 63)
-    room = lib.DPM_DATA_MAX if dsap is None else lib.DPM_IO_MAX
-    octets = _arguments.octets("data", data, 0, room, f", with SAPs {lib.DPM_IO_MAX}")
-    raw = ffi.new("dpm_raw *")
-    raw.da, raw.function = address, chosen
-    raw.dsap = lib.DPM_NO_SAP if dsap is None else dsap
-    raw.ssap = lib.DPM_NO_SAP if ssap is None else ssap
-    raw.length = len(octets)
-    raw.data = octets
-    return raw
+def _addresses(octets: Any) -> frozenset[int]:
+    """A bit per address."""
+    bits = int.from_bytes(bytes(octets), "little")
+    return frozenset(address for address in range(126) if bits >> address & 1)
 
 
-def _answer(raw: Any) -> Answer:
-    """The confirmation, or why there is none."""
-    tsdr = None if raw.tsdr < 0 else raw.tsdr / NS
-    if raw.status == lib.DPM_CONF_SENT:
-        return Answer(None, b"", None, 0)
-    if raw.status == lib.DPM_CONF_ANSWER:
-        return Answer(None if raw.short_ack else raw.fc, bytes(ffi.buffer(raw.answer, raw.answer_length)), tsdr, raw.tries)
-    reason = {
-        lib.DPM_CONF_NA: f"does not answer ({raw.tries} tries)",
-        lib.DPM_CONF_INVALID: "answered with something that is no answer to this request",
-    }.get(raw.status, "was not asked: the master lost the token or left the bus")
-    raise StationError(f"station {raw.da} {reason}", address=raw.da, reason=reason)
-
-
-def _log_events(master: weakref.ref[Master], events: Events) -> None:
+def _log_events(master: weakref.ref[Master], events: Events, log: Log) -> None:
     """The thread "dpmaster-log". A station's trouble is told once, not with every try."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())  # taken here, a Ctrl-C would not end the program's sleep
     told: dict[int, set[tuple[int, int]]] = {}
     for event in events:
         owner = master()
         station = None if owner is None or event.address is None else owner._stations.get(event.address)
         del owner
         try:
-            _log_event(event, station, told)
+            _log_event(event, station, told, log)
         except Exception:
             log.exception("logging %r", event)
         del station
 
 
-def _log_event(event: Event, station: Station | None, told: dict[int, set[tuple[int, int]]]) -> None:
+def _log_event(event: Event, station: Station | None, told: dict[int, set[tuple[int, int]]], log: Log) -> None:
     who = station.name if station is not None else f"station {event.address}"
     match event.kind:
         case EventKind.FAULT if station is not None:
@@ -709,7 +699,7 @@ def _log_event(event: Event, station: Station | None, told: dict[int, set[tuple[
                     StationState(event.a).name)
         case EventKind.MODE | EventKind.LATE:  # a busy computer is late now and then; the telegram is asked for again
             log.info("%s", event)
-        case EventKind.FOREIGN | EventKind.WATCHDOG:
+        case EventKind.FOREIGN | EventKind.WATCHDOG | EventKind.AUTO_CLEAR:
             log.warning("%s", event)
         case EventKind.DUPLICATE:
             log.error("%s; give one of them another, then operate() again", event)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from dpmaster import _arguments, _core
@@ -34,6 +34,7 @@ Watchdog = float | Literal["default"] | None
 DIAGNOSES = 64  # that a station's history has room for
 BY_HAND_WATCHDOG = 1.0  # s, of a Set_Prm by hand when the station says "default": no cycle is there to predict it from
 WATCHDOG_MAX = 650.25  # s, 255 * 255 * 10 ms
+REFUSALS = 8  # with the growing pauses between them two thirds of a second: a slave that is only starting says yes by then
 USER_PARAMETERS_MAX = 237  # octets of User_Prm_Data in Set_Prm
 
 # Station_Status of Set_Prm, EN 50170 part 8
@@ -109,6 +110,11 @@ class Station:
     zeros. min_slave_interval: 100 us, 0..65535. resume: "safe", outputs are zeros after a loss until the next commit, or
     "hold", the last commit is sent again (bare stations only). active=False: listed, never asked: for services by hand.
 
+    Where masters differ: check_ident=False: Set_Prm is sent though Slave_Diag tells another ident number, and the slave says
+    what it thinks of it. diagnosis_poll: s between two Slave_Diag in Data_Exchange, 0.01..3600, for a slave that has no inputs
+    to announce its diagnosis with; each takes the place of one exchange; None: only when announced. ready_timeout: s,
+    0.01..3600, after which a slave that is still not ready gets Set_Prm and Chk_Cfg again; None: never, as some need seconds.
+
     Raises ConfigurationError for anything outside these ranges.
     """
 
@@ -116,7 +122,8 @@ class Station:
                  name: str | None = None, watchdog: Watchdog = "default", min_tsdr: int = 11,
                  max_tsdr: Mapping[int, int] | None = None, group: int = 0, sync: bool = False, freeze: bool = False,
                  fail_safe: bool = False, min_slave_interval: int = 1, resume: Literal["safe", "hold"] = "safe",
-                 active: bool = True) -> None:
+                 active: bool = True, check_ident: bool = True, diagnosis_poll: float | None = None,
+                 ready_timeout: float | None = None) -> None:
         self.address = _address(address)
         self.ident_number = _arguments.whole("ident_number", ident_number, 0, 0xFFFF)
         self.configuration = _arguments.octets("configuration", configuration, 1, lib.DPM_IO_MAX, " identifiers of Chk_Cfg")
@@ -125,13 +132,16 @@ class Station:
         self.watchdog = watchdog
         self.min_tsdr = min_tsdr
         self.max_tsdr = _max_tsdr(max_tsdr)
-        self.group = _arguments.whole("group", group, 0, 255)
+        self.group = group
         self.sync = sync
         self.freeze = freeze
         self.fail_safe = fail_safe
         self.min_slave_interval = _arguments.whole("min_slave_interval", min_slave_interval, 0, 65535, " (of 100 us)")
         self.resume = resume
-        self.active = active
+        self.check_ident = check_ident
+        self.diagnosis_poll = diagnosis_poll
+        self.ready_timeout = ready_timeout
+        self._active = active
         self._check()
         self.input_length, self.output_length = self._lengths()
         self._master: Master | None = None
@@ -157,6 +167,10 @@ class Station:
         return GSDStation(gsd, address, modules, parameters, **options)
 
     def _check(self) -> None:
+        _arguments.whole("group", self.group, 0, 255)
+        for name, value in (("diagnosis_poll", self.diagnosis_poll), ("ready_timeout", self.ready_timeout)):
+            if value is not None and (not _arguments.number(value) or not 0.01 <= value <= 3600):
+                raise ConfigurationError(f"{name} {value!r} s: 0.01 to 3600 s, or None")
         if self.min_tsdr:
             _arguments.whole("min_tsdr", self.min_tsdr, 11, 255, " Tbit, or 0 to leave the slave's own")
         if self.resume not in ("safe", "hold"):
@@ -192,6 +206,12 @@ class Station:
         self._history = lib.dpm_history_init(history, len(history), DIAGNOSES)
         self._master = master
 
+    def _detach(self, active: bool) -> None:
+        """Belong to no master any more; another one finds it as active as it was."""
+        self._master = None
+        self._index = None
+        self._active = active
+
     def _settings(self) -> Any:
         """The ``dpm_slave_set``; the watchdog's factors are those of `_watch`."""
         settings = ffi.new("dpm_slave_set *")
@@ -207,7 +227,10 @@ class Station:
         settings.group = self.group
         settings.fail_safe = self.fail_safe
         settings.hold = self.resume == "hold"
-        settings.active = self.active
+        settings.active = self._active
+        settings.any_ident = not self.check_ident
+        settings.diagnosis_poll = round((self.diagnosis_poll or 0) * NS)
+        settings.ready_timeout = round((self.ready_timeout or 0) * NS)
         settings.min_slave_interval = self.min_slave_interval
         settings.history = self._history
         return settings
@@ -231,6 +254,14 @@ class Station:
         """The station says no, rather than nothing."""
         status = self._status()
         return status is not None and Reason(judge(status.reason, _diagnosis(status))).refusal
+
+    def _refuses_for_good(self) -> bool:
+        """It said no again and again, and no other master has to let it go first."""
+        status = self._status()
+        if status is None or status.refusals < REFUSALS:
+            return False
+        reason = Reason(judge(status.reason, _diagnosis(status)))
+        return reason.refusal and reason != Reason.LOCKED
 
     def _trouble(self, status: Any) -> str:
         diagnosis = _diagnosis(status)
@@ -373,7 +404,74 @@ class Station:
         if status.state != StationState.DATA:
             return f"the station {trouble}"
         text = f"the station is in Data_Exchange and the master in {Mode(general.mode).name.title()}"
+        if general.auto_cleared >= 0:
+            text += f", since station {general.auto_cleared} was not in data transfer (auto_clear): operate() again"
         return f"{text}; last trouble: the station {trouble}" if trouble else text
+
+    # ---- part of the cycle or not
+
+    @property
+    def active(self) -> bool:
+        """It is, or will be, in the master's cycle."""
+        return self._active
+
+    def activate(self) -> None:
+        """Let it take part again; `state` tells when it exchanges, with safe outputs until the next commit."""
+        master = self._owner()
+        self._active = True
+        if self._index is not None:
+            master._settle_watchdogs()
+            master._bus.activate(self._index, True)
+
+    def deactivate(self, timeout: float = 1.0) -> None:
+        """Take it out of the cycle, where it stays listed, for services by hand: stop word, safe outputs, Unlock.
+
+        The others' exchange goes on. Raises DPTimeout when that took more than `timeout` s, ClosedError.
+        """
+        master = self._owner()
+        master._rest(self)
+        self._active = False
+        if self._index is None:
+            return
+        master._bus.activate(self._index, False)
+        if master._bus.wait(lambda: True if self.state == StationState.INACTIVE else None, timeout) is None:
+            raise DPTimeout(f"{self.name} was not released in {timeout} s; {self._standing(master)}")
+        master._settle_watchdogs()
+
+    def reparameterise(self, user_parameters: bytes | None = None, timeout: float = 5.0) -> None:
+        """Set_Prm and Chk_Cfg anew (New_Prm) with the attributes as they are now: watchdog, min_tsdr, group, sync, freeze, and
+        `user_parameters` when they are given here.
+
+        The others' exchange goes on. A drive says its stop word first; the station comes back with safe outputs, and only a
+        commit made after that reaches it. Returns when it exchanges again; one that did not before is not waited for. Raises
+        StationError when it refuses, DPTimeout, ConfigurationError, ClosedError.
+        """
+        master = self._owner()
+        if user_parameters is not None:
+            self.user_parameters = _arguments.octets("user_parameters", user_parameters, 0, USER_PARAMETERS_MAX)
+        self._check()
+        if self._index is None:
+            return
+        waits = self.state == StationState.DATA
+        master._rest(self)
+        master._settle_watchdogs()
+        master._bus.change(self._index, self._settings())
+        master._bus.new_prm(self._index)
+        if waits:
+            self._await_data(master, timeout)
+
+    def _await_data(self, master: Master, timeout: float) -> None:
+        def settled() -> bool | None:
+            return True if self.state == StationState.DATA or self._refuses_for_good() else None
+
+        settled_in_time = master._bus.wait(settled, timeout)
+        if self.state == StationState.DATA:
+            return
+        master._bus.check_port()
+        text = f"{self.name} is not back in Data_Exchange: it {self.reason}"
+        if settled_in_time or self._refuses():
+            raise StationError(text, address=self.address, reason=self.reason)
+        raise DPTimeout(f"{text}, after {timeout} s")
 
     # ---- state
 
@@ -428,13 +526,21 @@ class Station:
 
     # ---- services by hand, for debugging step by step
 
-    def slave_diag(self, timeout: float = 1.0) -> Diagnosis:
+    def slave_diag(self, timeout: float | None = 1.0) -> Diagnosis:
         """Slave_Diag by hand; also for a station in the cycle. Raises StationError when it does not answer or refuses."""
-        answer = self._ask("Slave_Diag", lib.DPM_SAP_SLAVE_DIAG, b"", timeout)
-        if len(answer) < 6:
-            raise StationError(f"{self.name} answered Slave_Diag with {len(answer)} octets, 6 at least are due",
-                               address=self.address, reason="invalid answer")
-        return Diagnosis(answer, time=_core.now() / NS, dpv1=self._dpv1)
+        return replace(self._owner().slave_diag(self.address, timeout), dpv1=self._dpv1)
+
+    def get_cfg(self, timeout: float | None = 1.0) -> bytes:
+        """Get_Cfg: the real configuration, identifiers as in Chk_Cfg; also for a station in the cycle."""
+        return self._owner().get_cfg(self.address, timeout)
+
+    def rd_inp(self, timeout: float | None = 1.0) -> bytes:
+        """RD_Inp: the present inputs, also of another master's station. Outside Data_Exchange it refuses, or has no data."""
+        return self._owner().rd_inp(self.address, timeout)
+
+    def rd_outp(self, timeout: float | None = 1.0) -> bytes:
+        """RD_Outp: the present outputs, also of another master's station. Outside Data_Exchange it refuses, or has no data."""
+        return self._owner().rd_outp(self.address, timeout)
 
     def set_prm(self, user_parameters: bytes | None = None, *, lock: bool = True, unlock: bool = False,
                 watchdog: Watchdog = "default", ident_number: int | None = None, timeout: float = 1.0) -> None:
@@ -454,32 +560,25 @@ class Station:
         given = self.user_parameters if user_parameters is None else user_parameters
         parameters = _arguments.octets("user_parameters", given, 0, USER_PARAMETERS_MAX)
         octets = bytes((status, *factors, self.min_tsdr, *ident.to_bytes(2, "big"), self.group)) + parameters
-        self._ask("Set_Prm", lib.DPM_SAP_SET_PRM, octets, timeout)
+        self._owner()._serve(self.address, "Set_Prm", lib.DPM_SAP_SET_PRM, octets, timeout)
 
     def chk_cfg(self, configuration: bytes | None = None, timeout: float = 1.0) -> None:
         """Chk_Cfg by hand, the station's own configuration when none is given. The verdict is in the next `slave_diag`."""
         self._not_in_cycle("Chk_Cfg")
         given = self.configuration if configuration is None else configuration
         octets = _arguments.octets("configuration", given, 1, lib.DPM_IO_MAX)
-        self._ask("Chk_Cfg", lib.DPM_SAP_CHK_CFG, octets, timeout)
+        self._owner()._serve(self.address, "Chk_Cfg", lib.DPM_SAP_CHK_CFG, octets, timeout)
 
     def data_exchange(self, octets: bytes = b"", timeout: float = 1.0) -> bytes:
         """Data_Exchange by hand: sends `octets` as outputs, whatever their number, and returns the inputs."""
         self._not_in_cycle("Data_Exchange")
-        return self._ask("Data_Exchange", None, _arguments.octets("outputs", octets, 0, lib.DPM_IO_MAX), timeout)
+        given = _arguments.octets("outputs", octets, 0, lib.DPM_IO_MAX)
+        return self._owner()._serve(self.address, "Data_Exchange", None, given, timeout)
 
     def _not_in_cycle(self, service: str) -> None:
         if self.active and self._owner().mode >= Mode.CLEAR:
             raise NotOperatingError(f"{service} by hand to {self.name}, which is in the master's cycle: add it with "
-                                    "active=False, or stop() the master first")
-
-    def _ask(self, service: str, sap: int | None, octets: bytes, timeout: float) -> bytes:
-        """One SRD to this station: the answer's data. StationError when it does not answer or its answer is a refusal."""
-        own = None if sap is None else lib.DPM_SAP_MASTER
-        answer = self._owner().request(self.address, "SRD", sap, own, octets, timeout=timeout)
-        if not answer.ok:
-            raise StationError(f"{self.name} refuses {service}: {answer.meaning}", address=self.address, reason=answer.meaning)
-        return answer.data
+                                    "active=False, deactivate() it, or stop() the master first")
 
 
 def _diagnosis(status: Any, dpv1: bool = False) -> Diagnosis | None:

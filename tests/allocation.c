@@ -121,7 +121,7 @@ static dpm_outputs *start_master(dpm_bus *bus, const dpm_parameters *parameters)
 {
     dpm_master *master;
     dpm_master_config config = {.station = {.parameters = *parameters, .address = 1}, .slaves = 1,
-                                .control_interval = SECOND / 10};
+                                .data_control_time = SECOND / 3, .data_retries = -1};
     dpm_slave_set set = {.address = 5, .ident_number = 0x1234, .configuration = {0x31}, .configuration_length = 1,
                          .active = true, .min_tsdr = 11, .min_slave_interval = 1};
     dpm_outputs *outputs = dpm_outputs_init(block(dpm_outputs_size()), dpm_outputs_size(), 2);

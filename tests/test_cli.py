@@ -60,7 +60,7 @@ def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     text = capsys.readouterr().out
     for name in cli.COMMANDS:
         module = importlib.import_module(f"dpmaster.cli.{name}")
-        assert f"    {module.NAME} " in text
+        assert re.search(rf"^    {module.NAME}\s", text, flags=re.MULTILINE)
 
 
 @pytest.mark.parametrize("argv", [[], ["no-such-command"], ["--no-such-option"]])

@@ -37,7 +37,7 @@ from dpmaster import (
     StationError,
     StationState,
 )
-from dpmaster.master import _log_event
+from dpmaster.master import _log_event, _Named, log
 
 CONFIGURATION = b"\x33"  # 4 octets each way
 
@@ -477,6 +477,7 @@ def test_subscribers_are_limited_and_say_so(master: Master) -> None:
 def test_a_late_telegram_is_no_warning(caplog: pytest.LogCaptureFixture) -> None:
     """It is dropped, counted and asked for again; a program without logging set up would find it in its own output."""
     caplog.set_level(logging.INFO, "dpmaster")
-    _log_event(Event(EventKind.LATE, None, 0.0, 1, value=2_600_000), None, {})
+    _log_event(Event(EventKind.LATE, None, 0.0, 1, value=2_600_000), None, {}, _Named(log, {"who": "master 1 on /dev/ttyS0"}))
     (record,) = caplog.records
     assert record.levelno == logging.INFO and "2.600 ms late" in record.message
+    assert record.message.startswith("master 1 on /dev/ttyS0: "), "a program may have several"

@@ -31,8 +31,9 @@ def examples() -> list[tuple[str, str, str]]:
 
 def test_the_page_has_examples_of_everything() -> None:
     assert {title for title, _, _ in examples()} == {
-        "Master, stations, modes", "A station's data", "Cycles", "asyncio", "Diagnosis", "Events", "Watchdogs"}
-    assert len(re.findall("```python", PAGE.read_text())) == len(examples()) == 8
+        "Master, stations, modes", "A station's data", "Cycles", "asyncio", "Diagnosis",
+        "Services, and stations that change", "Events", "Watchdogs"}
+    assert len(re.findall("```python", PAGE.read_text())) == len(examples()) == 9
 
 
 @pytest.mark.parametrize(("title", "program", "printed"), examples(), ids=lambda text: text.split("\n")[0][:30])

@@ -189,7 +189,7 @@ def test_a_single_master_wastes_nothing_with_hsa_126(rate):
     cycles = int(os.environ.get("DPM_SOAK_CYCLES", "1000"))
     parameters = default_parameters(rate)
     slaves = Slaves(parameters=parameters, slaves=8)
-    master = Master(parameters=parameters, address=1, slaves=8, role=RING, control_interval=3600 * S)
+    master = Master(parameters=parameters, address=1, slaves=8, role=RING, control_interval=1200 * S)
     for address in range(10, 18):
         slaves.add(address, 0x00CA, b"\x72", user=(0, 0))
         master.add(address, 0x00CA, b"\x72")

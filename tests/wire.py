@@ -74,7 +74,8 @@ class Master:
 
     def __init__(self, rate: int = 500_000, address: int = 1, *, parameters: Any = None, slaves: int = 126,
                  allowance: int = 0, granularity: int = 0, delivery: int = 0, echo: bool = False, cycle_time: int = 0,
-                 output_watchdog: int = 0, control_interval: int = 400 * MS, role: int = lib.DPM_ROLE_SOLE) -> None:
+                 output_watchdog: int = 0, control_interval: int = 400 * MS, role: int = lib.DPM_ROLE_SOLE,
+                 auto_clear: bool = False, data_retries: int = -1) -> None:
         config = ffi.new("dpm_master_config *")
         self.parameters = parameters or default_parameters(rate)
         config.station.parameters = self.parameters[0]
@@ -87,7 +88,9 @@ class Master:
         config.slaves = slaves
         config.cycle_time = cycle_time
         config.output_watchdog = output_watchdog
-        config.control_interval = control_interval
+        config.data_control_time = min(3 * control_interval, 3600 * S)  # an hour is the longest
+        config.auto_clear = auto_clear
+        config.data_retries = data_retries
         size = lib.dpm_master_size(slaves)
         self._block = block(size)
         out = ffi.new("dpm_master **")
@@ -127,6 +130,13 @@ class Master:
 
     def mode(self, mode: int, now: int = 0) -> None:
         assert lib.dpm_master_set_mode(self.master, mode, now) == 0
+
+    def order(self, now: int, *, da: int = 127, command: int = 0, group: int = 0, clear: int = -1) -> Any:
+        """Order a Global_Control; it lives as long as this object."""
+        control = ffi.new("dpm_control *", {"da": da, "command": command, "group": group, "clear": clear})
+        self._requests.append(control)
+        assert lib.dpm_master_order(self.master, control, now) == 0
+        return control
 
     def commit(self, index: int, data: bytes, now: int = 0, offset: int = 0, keep: bytes = b"") -> int:
         number = int(lib.dpm_outputs_change(self.images[index][0], offset, keep or ffi.NULL, data, len(data), now))

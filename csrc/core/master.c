@@ -16,7 +16,11 @@
 /* A cycle in which no slave was asked is not repeated before this has passed, ns. */
 #define EMPTY_CYCLE 1000000
 
-enum { COMMAND_OPERATE = 0x00, COMMAND_CLEAR = 0x02 };
+/* Control_Command: Clear_Data, and what a program may order besides. */
+enum { CLEAR_DATA = 0x02, COMMANDS = 0x3C };
+
+#define MODE_STEP 0x40
+#define LONG_AGO (-HOUR * 24)
 
 static int64_t min_of(int64_t a, int64_t b) { return a < b ? a : b; }
 
@@ -26,16 +30,24 @@ static void put_event(dpm_master *m, int64_t now, uint16_t kind, int32_t a, int3
     dpm_station_event(&m->station, &event);
 }
 
+/* A slave that was removed leaves its place to the next that is added. */
+static bool is_taken(const dpm_slave *slave) { return slave->outputs != NULL; }
+
+static dpm_slave *slave_at(dpm_master *m, uint8_t address)
+{
+    for (unsigned i = 0; i < m->n_slaves; i++)
+        if (is_taken(&m->slaves[i]) && m->slaves[i].set.address == address)
+            return &m->slaves[i];
+    return NULL;
+}
+
 /* --- outputs and the watchdog over the program ------------------------------------------------------------------ */
 
 /* "What was written before is never sent again": not as the repetition of a telegram under way either. */
-static void make_outputs_safe(dpm_master *m, bool latch, int64_t now)
+static void drop_outputs(dpm_master *m, const dpm_slave *slave, int64_t now)
 {
-    if (m->current && m->current->asked == DPM_ASK_DATA)
+    if (slave && m->current == slave && slave->asked == DPM_ASK_DATA)
         dpm_station_withdraw(&m->station, now);
-    atomic_store_explicit(&m->armed, false, memory_order_release);
-    for (unsigned i = 0; i < m->n_slaves; i++)
-        dpm_outputs_make_safe(m->slaves[i].outputs, latch);
 }
 
 /* There was a pause: the next cycle begins when it can, and lays the raster anew. */
@@ -45,16 +57,29 @@ static void forget_cycle(dpm_master *m)
     m->cycle_at = 0;
 }
 
+static void make_outputs_safe(dpm_master *m, bool latch, int64_t now)
+{
+    drop_outputs(m, m->current, now);
+    atomic_store_explicit(&m->armed, false, memory_order_release);
+    for (unsigned i = 0; i < m->n_slaves; i++)
+        if (is_taken(&m->slaves[i]))
+            dpm_outputs_make_safe(m->slaves[i].outputs, latch);
+}
+
+/* "Steps only between neighbours: Offline - Stop - Clear - Operate"; Global_Control tells the slaves of each. What was
+ * cleared by order is so no longer: the mode is told to all. */
 static void enter_mode(dpm_master *m, uint8_t mode, int64_t now)
 {
-    const uint8_t old = m->mode;
-    if (old == mode)
-        return;
-    if (old < DPM_MODE_CLEAR)
-        forget_cycle(m);
-    m->mode = mode;
-    m->control_due = true;
-    put_event(m, now, DPM_EV_MODE, mode, old);
+    while (m->mode != mode) {
+        const uint8_t old = m->mode;
+        if (old < DPM_MODE_CLEAR)
+            forget_cycle(m);
+        m->mode = (uint8_t)(mode > old ? old + MODE_STEP : old - MODE_STEP);
+        m->control_due = true;
+        put_event(m, now, DPM_EV_MODE, m->mode, old);
+        for (unsigned i = 0; i < m->n_slaves; i++)
+            m->slaves[i].cleared = false;
+    }
 }
 
 /* Behind its time a feed is too late, also where the bus thread has slept as long as the program (SIGSTOP, a suspended
@@ -105,6 +130,62 @@ static void judge_watchdog(dpm_master *m, int64_t now)
     make_outputs_safe(m, true, now);
     enter_mode(m, DPM_MODE_CLEAR, now);
     put_event(m, now, DPM_EV_WATCHDOG, m->latched_by, 0);
+}
+
+/* --- data transfer and Auto_Clear ---------------------------------------------------------------------------------- */
+
+/* "In data transfer during Data_Control_Time." */
+static bool transfers(const dpm_master *m, const dpm_slave *slave, int64_t now)
+{
+    return now <= slave->data_at + m->config.data_control_time;
+}
+
+/* One that has just been activated has as long to get there. */
+static int64_t transfer_ends(const dpm_master *m, const dpm_slave *slave)
+{
+    const bool new = slave->active_since > slave->data_at;
+    return (new ? slave->active_since : slave->data_at) + m->config.data_control_time;
+}
+
+static int64_t auto_clear_at(const dpm_master *m)
+{
+    return m->config.auto_clear && m->mode == DPM_MODE_OPERATE ? m->transfer_at : DPM_NEVER;
+}
+
+static void auto_clear(dpm_master *m, const dpm_slave *slave, int64_t now)
+{
+    const dpm_event event = {.time = now, .kind = DPM_EV_AUTO_CLEAR, .address = slave->set.address};
+    m->auto_cleared = slave->set.address;
+    make_outputs_safe(m, false, now);
+    enter_mode(m, DPM_MODE_CLEAR, now);
+    dpm_station_event(&m->station, &event);
+}
+
+/* Error_Action_Flag: "if any activated slave was not in data transfer during Data_Control_Time, Operate -> Clear". */
+static void judge_transfer(dpm_master *m, int64_t now)
+{
+    if (now <= auto_clear_at(m))
+        return;
+    m->transfer_at = DPM_NEVER;
+    for (unsigned i = 0; i < m->n_slaves; i++) {
+        const dpm_slave *slave = &m->slaves[i];
+        if (!slave->set.active)
+            continue;
+        if (now > transfer_ends(m, slave)) {
+            auto_clear(m, slave, now);
+            return;
+        }
+        m->transfer_at = min_of(m->transfer_at, transfer_ends(m, slave));
+    }
+}
+
+/* "Clear -> Operate only when all were in data exchange within Data_Control_Time." */
+static bool all_transfer(const dpm_master *m, int64_t now)
+{
+    for (unsigned i = 0; i < m->n_slaves; i++)
+        if (m->slaves[i].set.active && !transfers(m, &m->slaves[i], now))
+            return false;
+    return true;
 }
 
 /* --- the cycle --------------------------------------------------------------------------------------------------- */
@@ -174,37 +255,146 @@ static void end_cycle(dpm_master *m, int64_t now, int64_t *wake)
     *wake = min_of(*wake, m->cycle_at > now ? m->cycle_at : now);
 }
 
-static bool control_request(dpm_master *m, int64_t now, dpm_request *request)
+/* --- Global_Control ------------------------------------------------------------------------------------------------ */
+
+static bool concerns(const dpm_control *order, const dpm_slave *slave)
 {
-    if (m->mode < DPM_MODE_CLEAR || (!m->control_due && now < m->control_at))
+    const bool addressed = order->da == DPM_BROADCAST || order->da == slave->set.address;
+    return is_taken(slave) && addressed && (order->group == 0 || order->group & slave->set.group);
+}
+
+static bool clear_to_all(const dpm_master *m) { return m->mode != DPM_MODE_OPERATE; }
+
+static bool put_control(dpm_master *m, dpm_request *request, uint8_t errand, uint8_t da, uint8_t command, uint8_t group)
+{
+    m->errand = errand;
+    m->current = NULL;
+    m->pdu[0] = command;
+    m->pdu[1] = group;
+    *request = (dpm_request){.da = da, .function = DPM_SDN_HIGH, .dsap = DPM_SAP_GLOBAL_CONTROL, .ssap = DPM_SAP_MASTER,
+                             .length = 2, .data = m->pdu};
+    return true;
+}
+
+/* The mode: on every change, for whoever joined, and three times per Data_Control_Time. It bears no Sync and no Freeze,
+ * so it neither cancels nor repeats one. */
+static bool mode_request(dpm_master *m, int64_t now, dpm_request *request)
+{
+    if (!m->control_due && now < m->control_at)
         return false;
     m->control_due = false;
-    m->control_at = now + m->config.control_interval;
-    m->pdu[0] = m->mode == DPM_MODE_OPERATE && !m->leaving ? COMMAND_OPERATE : COMMAND_CLEAR;
-    m->pdu[1] = 0; /* all groups */
-    *request = (dpm_request){.da = DPM_BROADCAST, .function = DPM_SDN_HIGH, .dsap = DPM_SAP_GLOBAL_CONTROL,
-                             .ssap = DPM_SAP_MASTER, .length = 2, .data = m->pdu};
-    m->current = NULL;
-    return true;
+    m->control_at = now + m->config.data_control_time / 3;
+    return put_control(m, request, DPM_ERRAND_MODE, DPM_BROADCAST, clear_to_all(m) ? CLEAR_DATA : 0, 0);
+}
+
+/* Slaves that are cleared by order are told so again when a telegram to all has said Operate. */
+static bool reminder_request(dpm_master *m, dpm_request *request)
+{
+    for (; m->reminder < m->n_slaves; m->reminder++)
+        if (m->slaves[m->reminder].cleared && m->slaves[m->reminder].state == DPM_ST_DATA)
+            return put_control(m, request, DPM_ERRAND_REMINDER, m->slaves[m->reminder++].set.address, CLEAR_DATA, 0);
+    return false;
+}
+
+/* A Sync takes effect on what was committed before it was ordered: first each slave concerned is given that. */
+static bool order_request(dpm_master *m, dpm_request *request)
+{
+    const dpm_control *order = m->order;
+    if (!order)
+        return false;
+    for (unsigned i = 0; i < m->n_slaves; i++)
+        if (m->slaves[i].owes && order->clear != 1)
+            return false;
+    const bool clear = clear_to_all(m) || order->clear == 1;
+    return put_control(m, request, DPM_ERRAND_ORDER, order->da, (uint8_t)(order->command | (clear ? CLEAR_DATA : 0)), order->group);
+}
+
+/* Global_Control has a place of its own in the cycle: before the first Data_Exchange. */
+static bool control_request(dpm_master *m, int64_t now, dpm_request *request)
+{
+    return mode_request(m, now, request) || reminder_request(m, request) || (!m->leaving && order_request(m, request));
+}
+
+static void order_sent(dpm_master *m)
+{
+    dpm_control *order = m->order;
+    if (!order)
+        return; /* revoked meanwhile */
+    for (unsigned i = 0; i < m->n_slaves; i++)
+        if (order->clear == 0 && concerns(order, &m->slaves[i]))
+            m->slaves[i].cleared = false;
+    m->order = NULL;
+    order->done = true;
+    m->station.machine.progress++;
 }
 
 /* Global_Control went out, or could not: then it is due again. */
 static void control_confirm(dpm_master *m, const dpm_confirm *confirm)
 {
-    if (confirm->status != DPM_CONF_SENT) {
+    const bool sent = confirm->status == DPM_CONF_SENT;
+    if (!sent && m->errand == DPM_ERRAND_MODE)
         m->control_due = true;
+    if (!sent)
         return;
-    }
+    if (m->errand == DPM_ERRAND_ORDER)
+        order_sent(m);
+    if (!(m->pdu[0] & CLEAR_DATA))
+        m->reminder = 0;
+    if (m->errand != DPM_ERRAND_MODE)
+        return;
     for (unsigned i = 0; i < m->n_slaves; i++)
-        m->slaves[i].operating = m->pdu[0] == COMMAND_OPERATE && m->slaves[i].greeted;
+        m->slaves[i].operating = !(m->pdu[0] & CLEAR_DATA) && m->slaves[i].greeted;
 }
+
+static void revoke(dpm_master *m)
+{
+    m->order = NULL;
+    if (m->errand == DPM_ERRAND_ORDER)
+        m->errand = DPM_ERRAND_REMINDER; /* too late to hold it back, but its end is not the next order's */
+    for (unsigned i = 0; i < m->n_slaves; i++)
+        m->slaves[i].owes = false;
+}
+
+int dpm_master_order(dpm_master *master, dpm_control *control, int64_t now)
+{
+    if (control->command & (uint8_t)~COMMANDS || control->da > DPM_BROADCAST || control->clear < -1 || control->clear > 1)
+        return DPM_E_ARGUMENT;
+    if (master->order)
+        return DPM_E_BUSY;
+    if (master->mode < DPM_MODE_CLEAR || master->leaving || (master->mode == DPM_MODE_CLEAR && control->clear == 0))
+        return DPM_E_MODE;
+    control->done = false;
+    master->order = control;
+    master->station.users_wake = 0;
+    for (unsigned i = 0; i < master->n_slaves; i++) {
+        dpm_slave *slave = &master->slaves[i];
+        if (!concerns(control, slave))
+            continue;
+        slave->owes = slave->state == DPM_ST_DATA;
+        slave->pays = false;
+        if (control->clear != 1)
+            continue;
+        drop_outputs(master, slave, now);
+        slave->cleared = true;
+        dpm_outputs_make_safe(slave->outputs, master->latched);
+    }
+    return DPM_OK;
+}
+
+void dpm_master_revoke(dpm_master *master, dpm_control *control)
+{
+    if (master->order == control)
+        revoke(master);
+}
+
+/* --- the slaves' turns --------------------------------------------------------------------------------------------- */
 
 /* The slaves' turn; one that may not be asked yet (Min_Slave_Interval) keeps its place until then. */
 static bool slave_request(dpm_master *m, int64_t now, dpm_request *request, int64_t *wake)
 {
     for (; m->turn < m->n_slaves; m->turn++) {
         dpm_slave *slave = &m->slaves[m->turn];
-        if (!dpm_slave_wants(slave))
+        if (!dpm_slave_wants(slave) || slave == m->raw_first)
             continue;
         if (now < slave->not_before) {
             if (slave->state == DPM_ST_DATA) {
@@ -215,6 +405,7 @@ static bool slave_request(dpm_master *m, int64_t now, dpm_request *request, int6
         }
         m->asked++;
         m->turn++;
+        m->errand = DPM_ERRAND_SLAVE;
         dpm_slave_request(m, slave, now, request);
         return true;
     }
@@ -238,6 +429,7 @@ static bool try_request(dpm_master *m, int64_t now, dpm_request *request)
         return false;
     m->tried = true;
     m->asked++;
+    m->errand = DPM_ERRAND_SLAVE;
     dpm_slave_request(m, found, now, request);
     return true;
 }
@@ -256,6 +448,7 @@ static void finish_leaving(dpm_master *m, int64_t now)
     if (!m->leaving || anyone_leaving(m))
         return;
     m->leaving = false;
+    revoke(m);
     enter_mode(m, m->target, now);
     if (m->target == DPM_MODE_OFFLINE)
         dpm_station_online(&m->station, false, now);
@@ -287,10 +480,10 @@ static void master_confirm(void *context, int64_t now, const dpm_confirm *confir
     dpm_master *m = context;
     dpm_slave *slave = m->current;
     m->current = NULL;
-    if (!slave) {
+    if (m->errand != DPM_ERRAND_SLAVE)
         control_confirm(m, confirm);
+    if (!slave)
         return;
-    }
     if (slave->state == DPM_ST_OFFLINE && confirm->status == DPM_CONF_NA)
         m->try_at = now + (dpm_master_exchanges(m) ? TRY_SHARE * (now - confirm->start) : 0);
     dpm_slave_confirm(m, slave, now, confirm);
@@ -311,6 +504,13 @@ static void lose_all(dpm_master *m, int64_t now)
     forget_cycle(m);
 }
 
+void dpm_master_drop(dpm_master *m, const dpm_slave *slave, int64_t now)
+{
+    drop_outputs(m, slave, now);
+    if (m->current == slave)
+        m->current = NULL;
+}
+
 static void master_token(void *context, int64_t now, bool held)
 {
     dpm_master *m = context;
@@ -327,13 +527,30 @@ static void master_token(void *context, int64_t now, bool held)
 
 /* --- raw requests ------------------------------------------------------------------------------------------------ */
 
+/* "The master must keep this distance for every master-slave function": Min_Slave_Interval is the request's, too. A slave
+ * whose every interval the cycle would use up leaves one exchange out for it. */
+static bool raw_must_wait(dpm_master *m, int64_t now, int64_t *wake)
+{
+    dpm_slave *slave = slave_at(m, m->raw->da);
+    m->raw_first = NULL;
+    if (!slave || slave->state != DPM_ST_DATA)
+        return false;
+    if (now < slave->not_before) {
+        m->raw_first = slave;
+        *wake = min_of(*wake, slave->not_before);
+        return true;
+    }
+    slave->not_before = now + slave->interval;
+    return false;
+}
+
 static int raw_next(void *context, int64_t now, dpm_request *request, int64_t *wake)
 {
     dpm_master *m = context;
     const dpm_raw *raw = m->raw;
-    (void)now;
-    (void)wake;
     if (!raw)
+        m->raw_first = NULL;
+    if (!raw || raw_must_wait(m, now, wake))
         return 0;
     m->raw_out = true;
     *request = (dpm_request){.da = raw->da, .function = raw->function, .dsap = raw->dsap, .ssap = raw->ssap,
@@ -359,14 +576,23 @@ static void finish_raw(dpm_master *m, const dpm_confirm *confirm)
     m->station.machine.progress++;
 }
 
+/* A diagnosis that was fetched by hand is the handler's, too: the slave has withdrawn its flag. */
+static void share_diagnosis(dpm_master *m, int64_t now, const dpm_confirm *confirm)
+{
+    dpm_slave *slave = slave_at(m, m->raw->da);
+    if (slave && m->raw->dsap == DPM_SAP_SLAVE_DIAG && confirm->status == DPM_CONF_ANSWER)
+        dpm_slave_overhear(m, slave, now, confirm);
+}
+
 static void raw_confirm(void *context, int64_t now, const dpm_confirm *confirm)
 {
     dpm_master *m = context;
     const bool cancelled = m->raw_cancelled;
-    (void)now;
     m->raw_out = m->raw_cancelled = false;
-    if (!cancelled)
-        finish_raw(m, confirm);
+    if (cancelled)
+        return;
+    share_diagnosis(m, now, confirm);
+    finish_raw(m, confirm);
 }
 
 /* Off the bus nothing has its turn: who waits is told now. What is out is confirmed by the station. */
@@ -400,21 +626,30 @@ void dpm_master_cancel(dpm_master *master, dpm_raw *raw)
     if (!*at)
         return;
     master->raw_cancelled |= master->raw_out && raw == master->raw;
+    master->raw_first = NULL;
     *at = raw->next;
 }
 
 /* --- modes ------------------------------------------------------------------------------------------------------- */
 
-/* Unlock what is ours, by the cycle's own means; without the token there is nobody to tell. */
+/* A slave can be told only by who has the token, now or soon. */
+static bool reachable(const dpm_master *m)
+{
+    return dpm_station_state(&m->station) >= DPM_FDL_ACTIVE_IDLE && m->mode >= DPM_MODE_CLEAR;
+}
+
+/* Unlock what is ours, by the cycle's own means, behind a Global_Control Clear to all. */
 static void leave(dpm_master *m, uint8_t target, int64_t now)
 {
-    const int fdl = dpm_station_state(&m->station);
+    if (m->mode == DPM_MODE_OPERATE)
+        enter_mode(m, DPM_MODE_CLEAR, now);
     m->target = target;
     m->leaving = true;
     m->current = NULL; /* what is under way was asked on the way in: its answer changes no state any more */
     for (unsigned i = 0; i < m->n_slaves; i++)
-        dpm_slave_leave(m, &m->slaves[i], now, fdl >= DPM_FDL_ACTIVE_IDLE && m->mode >= DPM_MODE_CLEAR);
+        dpm_slave_leave(m, &m->slaves[i], now, reachable(m));
     m->control_due = true;
+    m->turn = 0;
     m->cycle_at = now;
     finish_leaving(m, now);
 }
@@ -422,9 +657,12 @@ static void leave(dpm_master *m, uint8_t target, int64_t now)
 static void operate(dpm_master *m, int64_t now)
 {
     m->latched = false;
+    m->auto_cleared = -1;
+    m->transfer_at = now;
     feed(m, now, DPM_FED_OPERATE); /* what was committed in Clear comes alive now, and is watched from now */
     for (unsigned i = 0; i < m->n_slaves; i++)
-        dpm_outputs_unlatch(m->slaves[i].outputs);
+        if (is_taken(&m->slaves[i]))
+            dpm_outputs_unlatch(m->slaves[i].outputs);
     enter_mode(m, DPM_MODE_OPERATE, now);
 }
 
@@ -432,6 +670,8 @@ int dpm_master_set_mode(dpm_master *master, int mode, int64_t now)
 {
     if (mode != DPM_MODE_OFFLINE && mode != DPM_MODE_STOP && mode != DPM_MODE_CLEAR && mode != DPM_MODE_OPERATE)
         return DPM_E_ARGUMENT;
+    if (mode == DPM_MODE_OPERATE && master->config.auto_clear && !all_transfer(master, now))
+        return DPM_E_MODE;
     master->station.users_wake = 0;
     if (mode != DPM_MODE_OFFLINE)
         dpm_station_online(&master->station, master->port_works, now);
@@ -454,6 +694,8 @@ void dpm_master_port(dpm_master *master, bool working, int64_t now)
     master->port_works = working;
     dpm_station_online(&master->station, false, now);
     lose_all(master, now);
+    /* No output of a commit is alive: until one is again, a program that waits for its port has not hung. */
+    atomic_store_explicit(&master->armed, false, memory_order_release);
     if (working && master->mode != DPM_MODE_OFFLINE)
         dpm_station_online(&master->station, true, now);
     finish_leaving(master, now);
@@ -464,9 +706,11 @@ void dpm_master_port(dpm_master *master, bool working, int64_t now)
 static void master_ask(dpm_machine *machine, int64_t now, dpm_offer *offer)
 {
     dpm_master *m = (dpm_master *)machine;
+    m->asked_at = now;
     judge_watchdog(m, now);
+    judge_transfer(m, now);
     m->station_ask(machine, now, offer);
-    offer->wake = min_of(offer->wake, watchdog_at(m));
+    offer->wake = min_of(offer->wake, min_of(watchdog_at(m), auto_clear_at(m)));
     refuse_raw(m);
 }
 
@@ -478,8 +722,8 @@ int dpm_master_init(void *block, size_t size, const dpm_master_config *config, d
 {
     dpm_station *station;
     if (config->slaves < 1 || config->slaves > 126 || config->cycle_time < 0 || config->cycle_time > HOUR ||
-        config->output_watchdog < 0 || config->output_watchdog > HOUR || config->control_interval < 1 ||
-        config->control_interval > HOUR)
+        config->output_watchdog < 0 || config->output_watchdog > HOUR || config->data_control_time < 1 ||
+        config->data_control_time > HOUR || config->data_retries < -1 || config->data_retries > 15)
         return DPM_E_ARGUMENT;
     if (!block || size < dpm_master_size(config->slaves))
         return DPM_E_BLOCK;
@@ -490,6 +734,7 @@ int dpm_master_init(void *block, size_t size, const dpm_master_config *config, d
     dpm_master *m = block;
     m->config = *config;
     m->port_works = true;
+    m->auto_cleared = -1;
     m->station_ask = station->machine.ask;
     station->machine.ask = master_ask;
     const dpm_fdl_user dp = {.context = m, .next = master_next, .confirm = master_confirm, .token = master_token};
@@ -523,18 +768,30 @@ static void take_set(dpm_slave *slave, const dpm_slave_set *set)
     slave->interval = (int64_t)set->min_slave_interval * 100000; /* unit 100 us */
 }
 
+/* The first free place; n_slaves only grows when there is none. */
+static int free_place(dpm_master *m)
+{
+    unsigned i = 0;
+    while (i < m->n_slaves && is_taken(&m->slaves[i]))
+        i++;
+    if (i == m->config.slaves)
+        return DPM_E_FULL;
+    m->n_slaves = i == m->n_slaves ? i + 1 : m->n_slaves;
+    return (int)i;
+}
+
 int dpm_master_add(dpm_master *master, const dpm_slave_set *set, dpm_outputs *outputs, dpm_image *inputs)
 {
     uint16_t input_length, output_length;
     const int result = check_set(master, set, &input_length, &output_length);
     if (result < 0)
         return result;
-    for (unsigned i = 0; i < master->n_slaves; i++)
-        if (master->slaves[i].set.address == set->address)
-            return DPM_E_DUPLICATE;
-    if (master->n_slaves == master->config.slaves)
-        return DPM_E_FULL;
-    dpm_slave *slave = &master->slaves[master->n_slaves];
+    if (slave_at(master, set->address))
+        return DPM_E_DUPLICATE;
+    const int place = free_place(master);
+    if (place < 0)
+        return place;
+    dpm_slave *slave = &master->slaves[place];
     memset(slave, 0, sizeof *slave);
     take_set(slave, set);
     slave->outputs = outputs;
@@ -543,19 +800,28 @@ int dpm_master_add(dpm_master *master, const dpm_slave_set *set, dpm_outputs *ou
     slave->output_length = output_length;
     slave->received.length = input_length;
     slave->state = set->active ? DPM_ST_OFFLINE : DPM_ST_INACTIVE;
+    slave->data_at = LONG_AGO;
+    slave->active_since = master->asked_at;
     slave->statistics.tsdr_min = -1;
     slave->statistics.tsdr_max = -1;
+    master->station.users_wake = 0;
+    master->transfer_at = min_of(master->transfer_at, transfer_ends(master, slave));
     if (master->latched)
         dpm_outputs_make_safe(outputs, true);
-    return (int)master->n_slaves++;
+    return place;
+}
+
+static dpm_slave *slave_of(dpm_master *m, int index)
+{
+    return index >= 0 && index < (int)m->n_slaves && is_taken(&m->slaves[index]) ? &m->slaves[index] : NULL;
 }
 
 int dpm_master_change(dpm_master *master, int index, const dpm_slave_set *set)
 {
     uint16_t inputs, outputs;
-    if (index < 0 || index >= (int)master->n_slaves)
+    dpm_slave *slave = slave_of(master, index);
+    if (!slave)
         return DPM_E_ARGUMENT;
-    dpm_slave *slave = &master->slaves[index];
     const int result = check_set(master, set, &inputs, &outputs);
     if (result < 0)
         return result;
@@ -563,7 +829,44 @@ int dpm_master_change(dpm_master *master, int index, const dpm_slave_set *set)
         return DPM_E_ADDRESS;
     if (inputs != slave->input_length || outputs != slave->output_length)
         return DPM_E_LENGTH;
+    const bool active = slave->set.active;
     take_set(slave, set);
+    slave->set.active = active;
+    return DPM_OK;
+}
+
+int dpm_master_new_prm(dpm_master *master, int index, int64_t now)
+{
+    dpm_slave *slave = slave_of(master, index);
+    if (!slave)
+        return DPM_E_ARGUMENT;
+    dpm_slave_new_prm(master, slave, now);
+    master->station.users_wake = 0;
+    return DPM_OK;
+}
+
+int dpm_master_activate(dpm_master *master, int index, bool active, int64_t now)
+{
+    dpm_slave *slave = slave_of(master, index);
+    if (!slave)
+        return DPM_E_ARGUMENT;
+    dpm_slave_activate(master, slave, now, active, reachable(master));
+    master->station.users_wake = 0;
+    master->transfer_at = min_of(master->transfer_at, now);
+    return DPM_OK;
+}
+
+int dpm_master_remove(dpm_master *master, int index)
+{
+    dpm_slave *slave = slave_of(master, index);
+    if (!slave)
+        return DPM_E_ARGUMENT;
+    if (slave->state != DPM_ST_INACTIVE)
+        return DPM_E_BUSY;
+    if (master->raw_first == slave)
+        master->raw_first = NULL;
+    memset(slave, 0, sizeof *slave);
+    slave->state = DPM_ST_INACTIVE;
     return DPM_OK;
 }
 
@@ -572,6 +875,7 @@ int dpm_master_change(dpm_master *master, int index, const dpm_slave_set *set)
 void dpm_master_get_status(const dpm_master *master, dpm_master_status *status)
 {
     *status = (dpm_master_status){
+        .auto_cleared = master->auto_cleared,
         .mode = master->mode,
         .fdl_state = (uint8_t)dpm_station_state(&master->station),
         .latched = master->latched,
@@ -587,17 +891,26 @@ void dpm_master_get_status(const dpm_master *master, dpm_master_status *status)
         .lateness = master->lateness,
     };
     dpm_station_statistics(&master->station, &status->fdl);
+    for (unsigned i = 0; i < master->n_slaves; i++) {
+        const dpm_slave *slave = &master->slaves[i];
+        const uint8_t octet = slave->set.address / 8, bit = (uint8_t)(1u << slave->set.address % 8);
+        if (is_taken(slave) && transfers(master, slave, master->asked_at))
+            status->data_transfer[octet] |= bit;
+        if (dpm_slave_in_trouble(slave))
+            status->system_diagnostic[octet] |= bit;
+    }
 }
 
 int dpm_master_get_slave(const dpm_master *master, int index, dpm_slave_status *status)
 {
-    if (index < 0 || index >= (int)master->n_slaves)
+    const dpm_slave *slave = slave_of((dpm_master *)master, index);
+    if (!slave)
         return DPM_E_ARGUMENT;
-    const dpm_slave *slave = &master->slaves[index];
     *status = (dpm_slave_status){
         .state = slave->state,
         .reason = slave->reason,
         .detail = slave->detail,
+        .refusals = slave->refusals,
         .diagnosis_length = slave->diagnosis_length,
         .diagnosis_number = slave->diagnosis_number,
         .diagnosis_time = slave->diagnosis_time,

@@ -23,10 +23,18 @@ typedef struct dpm_slave {
     uint8_t reason;         /* enum dpm_reason */
     int32_t detail;
     bool diagnosis_pending; /* DH came, or static diagnosis stands */
+    bool cleared;           /* by order: zeros, or nothing, though the master operates */
+    bool owes;              /* an order waits for its next Data_Exchange ... */
+    bool pays;              /* ... which is under way */
     bool greeted;           /* its first Data_Exchange was answered: Global_Control is to tell it the mode */
     bool operating;         /* Global_Control Operate went out since then: outputs may go to it */
     bool returning;         /* it was in Data_Exchange before: safe outputs at its return */
     uint32_t tries;         /* requests without an answer since it was heard last */
+    uint32_t missed;        /* telegrams of Data_Exchange without an answer since then */
+    uint32_t refusals;
+    int64_t data_at;        /* the last Data_Exchange was answered */
+    int64_t active_since;
+    int64_t checked_at;     /* Chk_Cfg was taken: is it ready? */
     int64_t pause;          /* ns after the next refusal or loss; grows with each until data are exchanged */
     int64_t interval;       /* Min_Slave_Interval, ns */
     int64_t not_before;     /* the next request to it */
@@ -38,6 +46,9 @@ typedef struct dpm_slave {
     int64_t diagnosis_time;
     dpm_slave_statistics statistics;
 } dpm_slave;
+
+/* What the DP user's request under way is. */
+enum dpm_errand { DPM_ERRAND_SLAVE, DPM_ERRAND_MODE, DPM_ERRAND_ORDER, DPM_ERRAND_REMINDER };
 
 struct dpm_master {
     dpm_station station; /* first: the master's machine is the station's */
@@ -62,12 +73,19 @@ struct dpm_master {
     int64_t began, ended, began_late;                     /* the last whole cycle */
     dpm_lateness lateness;
     int64_t control_at, try_at;
+    unsigned reminder;    /* the next slave to be told again that it is cleared; n_slaves: none */
+    int64_t asked_at;     /* the last time the machine was asked: now, for who reads its status */
+    int64_t transfer_at;  /* Auto_Clear: when a slave may have been without data transfer for too long */
+    int16_t auto_cleared;
 
-    dpm_slave *current;   /* whose request is under way */
+    uint8_t errand;       /* enum dpm_errand */
+    dpm_slave *current;   /* whose request is under way; NULL: nobody's, or its answer counts no more */
     uint8_t pdu[DPM_IO_MAX];
+    dpm_control *order;
     dpm_raw *raw;         /* queue: the first is next, or out */
     bool raw_out;         /* the station has one */
     bool raw_cancelled;   /* and nobody waits for it any more */
+    dpm_slave *raw_first; /* its interval is kept free for the first of the queue */
 
     int64_t *record;
     size_t record_size, recorded;
@@ -82,12 +100,22 @@ void dpm_slave_request(dpm_master *master, dpm_slave *slave, int64_t now, dpm_re
 void dpm_slave_confirm(dpm_master *master, dpm_slave *slave, int64_t now, const dpm_confirm *confirm);
 /* Gone, for a reason; back to OFFLINE. Slaves that were not there lose nothing. */
 void dpm_slave_lose(dpm_master *master, dpm_slave *slave, int64_t now, uint8_t reason, int32_t detail);
-/* The master leaves: unlock it (`reachable`), or just forget it. */
+/* It is left: unlocked (`reachable`), or just forgotten. */
 void dpm_slave_leave(dpm_master *master, dpm_slave *slave, int64_t now, bool reachable);
+/* (De)activated; deactivated it is left. */
+void dpm_slave_activate(dpm_master *master, dpm_slave *slave, int64_t now, bool active, bool reachable);
+/* New_Prm. */
+void dpm_slave_new_prm(dpm_master *master, dpm_slave *slave, int64_t now);
+/* Somebody else fetched its diagnosis with our address: the slave takes it for told. */
+void dpm_slave_overhear(dpm_master *master, dpm_slave *slave, int64_t now, const dpm_confirm *confirm);
+/* Its diagnosis, or its absence, is something to look at. */
+bool dpm_slave_in_trouble(const dpm_slave *slave);
 
 /* master.c */
 /* Outputs of a commit made at `time` are alive: from now on the output watchdog watches the program. */
 void dpm_master_arm(dpm_master *master, int64_t time);
 bool dpm_master_exchanges(const dpm_master *master);
+/* The answer to what is under way for this slave changes its state no more; outputs are not sent again. */
+void dpm_master_drop(dpm_master *master, const dpm_slave *slave, int64_t now);
 
 #endif

@@ -17,6 +17,7 @@ enum {
     INVALID_RESPONSE = 0x20 /* M */, PRM_FAULT = 0x40, MASTER_LOCK = 0x80 /* M */, OWN_BITS_1 = 0xA1
 };
 enum { PRM_REQ = 0x01, STAT_DIAG = 0x02, DEACTIVATED = 0x80 /* M */ };
+enum { OVERFLOW = 0x80 };
 #define NO_MASTER 0xFF
 #define DIAGNOSIS_MIN 6
 
@@ -51,6 +52,7 @@ static void enter(dpm_master *m, dpm_slave *slave, int64_t now, uint8_t state)
     if (old == DPM_ST_DATA) {
         slave->returning = true;
         slave->diagnosis_pending = false;
+        slave->owes = false;
         invalidate_inputs(slave);
     }
     /* A station that left Data_Exchange comes back with safe outputs: commits made before are void from the moment it
@@ -61,9 +63,13 @@ static void enter(dpm_master *m, dpm_slave *slave, int64_t now, uint8_t state)
         slave->statistics.starts++;
         slave->greeted = false;
         slave->operating = false;
+        slave->missed = 0;
+        slave->refusals = 0;
         slave->reason = DPM_WHY_NONE;
         slave->detail = 0;
     }
+    if (state == DPM_ST_DIAG2)
+        slave->checked_at = now;
     slave->state = state;
     put_event(m, slave, now, DPM_EV_STATE, state, old);
 }
@@ -97,28 +103,58 @@ static void back_off(dpm_slave *slave, int64_t now)
 
 static void refused(dpm_master *m, dpm_slave *slave, int64_t now, uint8_t reason, int32_t detail)
 {
+    slave->refusals++;
     fall_back(m, slave, now, DPM_ST_DIAG1, reason, detail);
     back_off(slave, now);
 }
+
+/* Where a slave rests that is not ours: deactivated ones are not even tried. */
+static uint8_t away(const dpm_slave *slave) { return slave->set.active ? DPM_ST_OFFLINE : DPM_ST_INACTIVE; }
 
 void dpm_slave_lose(dpm_master *master, dpm_slave *slave, int64_t now, uint8_t reason, int32_t detail)
 {
     if (slave->state == DPM_ST_OFFLINE || slave->state == DPM_ST_INACTIVE)
         return;
-    fall_back(master, slave, now, DPM_ST_OFFLINE, reason, detail);
+    fall_back(master, slave, now, away(slave), reason, detail);
     dpm_station_restart(&master->station, slave->set.address);
     slave->tries = 0;
+    slave->refusals = 0;
     slave->diagnosis[0] |= NON_EXISTENT;
 }
 
 void dpm_slave_leave(dpm_master *master, dpm_slave *slave, int64_t now, bool reachable)
 {
-    if (slave->state == DPM_ST_INACTIVE || slave->state == DPM_ST_OFFLINE)
-        return;
     /* From PRM on Set_Prm may have locked it to us. */
-    enter(master, slave, now, reachable && slave->state >= DPM_ST_PRM ? DPM_ST_LEAVING : DPM_ST_OFFLINE);
+    const bool ours = slave->state >= DPM_ST_PRM && slave->state != DPM_ST_INACTIVE;
+    enter(master, slave, now, ours && reachable ? DPM_ST_LEAVING : away(slave));
     slave->tries = 0;
     slave->not_before = now;
+}
+
+void dpm_slave_activate(dpm_master *master, dpm_slave *slave, int64_t now, bool active, bool reachable)
+{
+    if (slave->set.active == active)
+        return;
+    slave->set.active = active;
+    slave->active_since = now;
+    slave->pause = 0;
+    slave->diagnosis[1] = (uint8_t)(active ? slave->diagnosis[1] & ~DEACTIVATED : slave->diagnosis[1] | DEACTIVATED);
+    if (slave->state == DPM_ST_LEAVING)
+        return; /* unlocked first, then as it is now */
+    dpm_master_drop(master, slave, now);
+    if (!active)
+        dpm_outputs_make_safe(slave->outputs, master->latched); /* left on purpose: `hold` is for losses */
+    dpm_slave_leave(master, slave, now, reachable);
+}
+
+void dpm_slave_new_prm(dpm_master *master, dpm_slave *slave, int64_t now)
+{
+    if (slave->state < DPM_ST_PRM || slave->state > DPM_ST_DATA)
+        return; /* its next Set_Prm is still to come */
+    dpm_master_drop(master, slave, now);
+    slave->pause = 0;
+    slave->refusals = 0;
+    enter(master, slave, now, DPM_ST_PRM);
 }
 
 /* --- requests ----------------------------------------------------------------------------------------------------- */
@@ -168,7 +204,7 @@ static uint8_t build_unlock(const dpm_slave *slave, uint8_t *pdu)
 /* Some slaves take no outputs before they have heard Operate; those of one that is to hold never dip to zero. */
 static bool may_have_outputs(const dpm_master *m, const dpm_slave *slave)
 {
-    return m->mode == DPM_MODE_OPERATE && (slave->operating || (slave->set.hold && slave->returning));
+    return m->mode == DPM_MODE_OPERATE && !slave->cleared && (slave->operating || (slave->set.hold && slave->returning));
 }
 
 /* Outputs: the newest commit of this epoch in Operate; else zeros, or nothing for a fail-safe slave. */
@@ -177,10 +213,13 @@ static void build_data(dpm_master *m, dpm_slave *slave, dpm_request *request)
     const bool operate = may_have_outputs(m, slave);
     const dpm_frame *frame = operate ? dpm_outputs_take(slave->outputs) : NULL;
     slave->carried = frame ? frame->number : 0;
+    slave->pays = slave->owes;
     if (slave->carried)
         dpm_master_arm(m, frame->time);
     request->dsap = DPM_NO_SAP;
     request->ssap = DPM_NO_SAP;
+    if (m->config.data_retries >= 0)
+        request->retries = (uint8_t)m->config.data_retries;
     request->length = operate || !slave->set.fail_safe ? (uint8_t)slave->output_length : 0;
     request->data = frame ? frame->octets : m->pdu;
     if (!frame)
@@ -189,6 +228,8 @@ static void build_data(dpm_master *m, dpm_slave *slave, dpm_request *request)
 
 void dpm_slave_request(dpm_master *master, dpm_slave *slave, int64_t now, dpm_request *request)
 {
+    if (slave->set.diagnosis_poll && now >= slave->diagnosis_time + slave->set.diagnosis_poll)
+        slave->diagnosis_pending = true;
     slave->asked = service_of(slave);
     slave->not_before = now + slave->interval;
     master->current = slave;
@@ -256,7 +297,7 @@ static uint8_t fault_of(const dpm_slave *slave, int32_t *detail)
     const uint8_t *d = slave->diagnosis;
     const int32_t ident = d[4] << 8 | d[5];
     *detail = 0;
-    if (ident != slave->set.ident_number) {
+    if (ident != slave->set.ident_number && !slave->set.any_ident) {
         *detail = ident;
         return DPM_WHY_IDENT;
     }
@@ -280,7 +321,7 @@ static bool explains_refusal(const dpm_slave *slave, uint8_t fault)
 }
 
 /* First contact: old faults do not count, Set_Prm will tell, unless they say why the slave has just refused a service.
- * A device of another ident is never parameterised. */
+ * A device of another ident is not parameterised, unless any will do. */
 static void judge_first_diagnosis(dpm_master *m, dpm_slave *slave, int64_t now)
 {
     int32_t detail;
@@ -299,8 +340,12 @@ static void judge_second_diagnosis(dpm_master *m, dpm_slave *slave, int64_t now)
     int32_t detail;
     const uint8_t fault = fault_of(slave, &detail);
     const bool static_diag = slave->diagnosis[1] & STAT_DIAG;
+    const int64_t patience = slave->set.ready_timeout;
     if (fault != DPM_WHY_NONE) {
         refused(m, slave, now, fault, detail);
+    } else if (slave->diagnosis[0] & NOT_READY && patience && now > slave->checked_at + patience) {
+        fall_back(m, slave, now, DPM_ST_PRM, DPM_WHY_NOT_READY, 0);
+        wait(slave, now, WAIT);
     } else if (slave->diagnosis[0] & NOT_READY || static_diag) {
         fall_back(m, slave, now, DPM_ST_DIAG2, static_diag ? DPM_WHY_STATIC_DIAG : DPM_WHY_NOT_READY, 0);
         wait(slave, now, WAIT);
@@ -317,6 +362,7 @@ static void judge_running_diagnosis(dpm_master *m, dpm_slave *slave, int64_t now
     if (fault == DPM_WHY_NONE && slave->diagnosis[0] & NOT_READY)
         fault = DPM_WHY_NOT_READY;
     slave->diagnosis_pending = slave->diagnosis[1] & STAT_DIAG;
+    slave->owes &= !slave->diagnosis_pending; /* no Data_Exchange is to come soon */
     if (fault != DPM_WHY_NONE)
         fall_back(m, slave, now, DPM_ST_DIAG1, fault, detail);
 }
@@ -351,14 +397,30 @@ static void confirm_diagnosis(dpm_master *m, dpm_slave *slave, int64_t now, cons
     }
 }
 
+void dpm_slave_overhear(dpm_master *master, dpm_slave *slave, int64_t now, const dpm_confirm *confirm)
+{
+    if (slave->state != DPM_ST_DATA || (confirm->fc & 0x0F) != DPM_RES_DL || confirm->length < DIAGNOSIS_MIN)
+        return;
+    keep_diagnosis(master, slave, now, confirm);
+    judge_running_diagnosis(master, slave, now);
+}
+
+bool dpm_slave_in_trouble(const dpm_slave *slave)
+{
+    const uint8_t *d = slave->diagnosis;
+    const bool shown = d[0] || d[1] & (PRM_REQ | STAT_DIAG) || d[2] & OVERFLOW;
+    return slave->set.active && (slave->state != DPM_ST_DATA || shown);
+}
+
 /* Inputs of the length that Chk_Cfg agreed on. A slave without inputs says SC; some say it with an empty telegram, or
- * announce diagnosis in one that may carry a dummy octet (EN 50170 leaves it open). */
+ * announce diagnosis in one that may carry a dummy octet (EN 50170 leaves it open). RDL and RDH leave the outputs untaken. */
 static bool is_data_answer(const dpm_slave *slave, const dpm_confirm *c)
 {
     const uint8_t code = c->fc & 0x0F;
+    const bool data = !c->short_ack && (code == DPM_RES_DL || code == DPM_RES_DH);
     if (slave->input_length == 0)
-        return c->length == 0 || (code == DPM_RES_DH && c->length == 1);
-    return !c->short_ack && (code == DPM_RES_DL || code == DPM_RES_DH) && c->length == slave->input_length;
+        return (is_acknowledge(c) || data) && c->length <= (code == DPM_RES_DH ? 1 : 0);
+    return data && c->length == slave->input_length;
 }
 
 static void measure(dpm_master *m, dpm_slave *slave, const dpm_confirm *c)
@@ -389,6 +451,9 @@ static void confirm_data(dpm_master *m, dpm_slave *slave, int64_t now, const dpm
     dpm_image_put(slave->inputs, frame);
     if (slave->carried)
         dpm_outputs_answered(slave->outputs, slave->carried);
+    slave->data_at = now;
+    slave->missed = 0;
+    slave->owes &= !slave->pays;
     slave->statistics.exchanges++;
     measure(m, slave, c);
     if ((c->fc & 0x0F) == DPM_RES_DH)
@@ -404,7 +469,7 @@ static void confirm_answer(dpm_master *m, dpm_slave *slave, int64_t now, const d
 {
     slave->tries = 0;
     if (slave->asked == DPM_ASK_UNLOCK) {
-        enter(m, slave, now, DPM_ST_OFFLINE);
+        enter(m, slave, now, away(slave));
         return;
     }
     if (c->status == DPM_CONF_INVALID) {
@@ -425,6 +490,15 @@ static void confirm_answer(dpm_master *m, dpm_slave *slave, int64_t now, const d
     }
 }
 
+/* "Max-Retry-Limit(DX) may be 0": what is not repeated in its cycle counts on in the next ones. */
+static bool may_be_missed(const dpm_master *m, dpm_slave *slave, uint8_t tries)
+{
+    if (slave->state != DPM_ST_DATA || slave->asked != DPM_ASK_DATA)
+        return false;
+    slave->missed += tries;
+    return slave->missed <= m->config.station.parameters.max_retry_limit;
+}
+
 void dpm_slave_confirm(dpm_master *master, dpm_slave *slave, int64_t now, const dpm_confirm *confirm)
 {
     slave->statistics.repetitions += confirm->tries > 1 ? confirm->tries - 1u : 0u;
@@ -436,8 +510,10 @@ void dpm_slave_confirm(dpm_master *master, dpm_slave *slave, int64_t now, const 
     }
     slave->statistics.unanswered++;
     slave->tries++;
+    if (may_be_missed(master, slave, confirm->tries))
+        return;
     if (slave->state == DPM_ST_LEAVING) {
-        enter(master, slave, now, DPM_ST_OFFLINE);
+        enter(master, slave, now, away(slave));
     } else if (slave->state != DPM_ST_OFFLINE) {
         dpm_slave_lose(master, slave, now, DPM_WHY_NO_ANSWER, slave->state);
         back_off(slave, now);

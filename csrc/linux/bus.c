@@ -26,6 +26,8 @@ enum {
 #define PATIENCE INT64_C(100000)
 /* The same while there is no port. */
 #define ABSENCE INT64_C(10000000)
+/* Clear and unlock at the end may take so long; a second is promised for the whole close. */
+#define LEAVE INT64_C(600000000)
 
 typedef struct subscriber {
     dpm_ring *ring;
@@ -40,6 +42,7 @@ struct dpm_bus {
     dpm_slaves *slaves;
     dpm_port_traits traits;
     int port_error;
+    int64_t end;             /* DPM_NEVER, or when the thread is gone at the latest */
     int64_t retry;           /* while the port is gone: when to look for it */
     bool clean;              /* the last read came back empty, and nothing was done since */
     uint32_t changes;        /* progress of our own, besides the machine's */
@@ -109,7 +112,7 @@ static void read_port(dpm_bus *bus)
 
 static void wait_until(dpm_bus *bus, int64_t deadline)
 {
-    int mask = dpm_port_wait(bus->port, bus->worker.wake_fd, deadline);
+    int mask = dpm_port_wait(bus->port, bus->worker.wake_fd, deadline < bus->end ? deadline : bus->end);
     bus->wakeups++;
     bus->clean = false;
     if (mask & 2)
@@ -166,23 +169,46 @@ static void turn_without_port(dpm_bus *bus)
     wait_until(bus, deadline < bus->retry ? deadline : bus->retry);
 }
 
+static void step(dpm_bus *bus)
+{
+    if (bus->port_error)
+        turn_without_port(bus);
+    else
+        turn(bus);
+    /* A machine that is never without work must not keep callers out. */
+    if (atomic_load_explicit(&bus->worker.pending, memory_order_relaxed))
+        dpm_worker_serve(&bus->worker);
+    if (bus->tap)
+        pass_events(bus);
+    dpm_worker_publish(&bus->worker, bus->machine->progress + bus->changes);
+}
+
+static bool online(dpm_master *master)
+{
+    dpm_master_status status;
+    dpm_master_get_status(master, &status);
+    return status.mode != DPM_MODE_OFFLINE;
+}
+
+/* Clear and unlock, whoever closes, however: a program that a second Ctrl-C hurries, or that has lost its last reference. */
+static void leave(dpm_bus *bus)
+{
+    if (!bus->master || bus->port_error)
+        return;
+    bus->end = dpm_now() + LEAVE;
+    dpm_master_set_mode(bus->master, DPM_MODE_OFFLINE, dpm_now());
+    while (!bus->port_error && online(bus->master) && dpm_now() < bus->end)
+        step(bus);
+}
+
 static void *run(void *context)
 {
     dpm_bus *bus = context;
     (void)prctl(PR_SET_NAME, "dpm-bus");
     (void)prctl(PR_SET_TIMERSLACK, 1UL); /* ns; the default of 50 us would be longer than a slot time */
-    while (!dpm_worker_stopping(&bus->worker)) {
-        if (bus->port_error)
-            turn_without_port(bus);
-        else
-            turn(bus);
-        /* A machine that is never without work must not keep callers out. */
-        if (atomic_load_explicit(&bus->worker.pending, memory_order_relaxed))
-            dpm_worker_serve(&bus->worker);
-        if (bus->tap)
-            pass_events(bus);
-        dpm_worker_publish(&bus->worker, bus->machine->progress + bus->changes);
-    }
+    while (!dpm_worker_stopping(&bus->worker))
+        step(bus);
+    leave(bus);
     return NULL;
 }
 
@@ -212,6 +238,7 @@ int dpm_bus_open(void *block, size_t size, const dpm_port_config *config, dpm_bu
     }
     dpm_port_get_info(bus->port, &info);
     bus->traits = info.traits;
+    bus->end = DPM_NEVER;
     *out = bus;
     return DPM_OK;
 }
@@ -403,6 +430,39 @@ int dpm_bus_change(dpm_bus *bus, int index, const dpm_slave_set *set)
     return on_master(bus, do_change, (arguments){.number = index, .in = set});
 }
 
+static int do_new_prm(void *master, void *data)
+{
+    const arguments *a = data;
+    return dpm_master_new_prm(master, a->number, dpm_now());
+}
+
+int dpm_bus_new_prm(dpm_bus *bus, int index)
+{
+    return on_master(bus, do_new_prm, (arguments){.number = index});
+}
+
+static int do_activate(void *master, void *data)
+{
+    const arguments *a = data;
+    return dpm_master_activate(master, a->number, a->flag, dpm_now());
+}
+
+int dpm_bus_activate(dpm_bus *bus, int index, bool active)
+{
+    return on_master(bus, do_activate, (arguments){.number = index, .flag = active});
+}
+
+static int do_remove(void *master, void *data)
+{
+    const arguments *a = data;
+    return dpm_master_remove(master, a->number);
+}
+
+int dpm_bus_remove(dpm_bus *bus, int index)
+{
+    return on_master(bus, do_remove, (arguments){.number = index});
+}
+
 static int do_set_mode(void *master, void *data)
 {
     const arguments *a = data;
@@ -435,6 +495,29 @@ static int do_cancel(void *master, void *data)
 int dpm_bus_cancel(dpm_bus *bus, dpm_raw *raw)
 {
     return on_master(bus, do_cancel, (arguments){.out = raw});
+}
+
+static int do_order(void *master, void *data)
+{
+    const arguments *a = data;
+    return dpm_master_order(master, a->out, dpm_now());
+}
+
+int dpm_bus_order(dpm_bus *bus, dpm_control *control)
+{
+    return on_master(bus, do_order, (arguments){.out = control});
+}
+
+static int do_revoke(void *master, void *data)
+{
+    const arguments *a = data;
+    dpm_master_revoke(master, a->out);
+    return DPM_OK;
+}
+
+int dpm_bus_revoke(dpm_bus *bus, dpm_control *control)
+{
+    return on_master(bus, do_revoke, (arguments){.out = control});
 }
 
 static int do_get_status(void *master, void *data)

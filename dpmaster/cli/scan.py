@@ -10,10 +10,11 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from dpmaster import BusParameters, Listener, Live, LiveEntry, Master
+from dpmaster.cli import _master as common
 from dpmaster.live import HIGHEST
 
 NAME = "scan"
@@ -26,28 +27,13 @@ EAVESDROP = 3.0  # s to listen to a bus that has a master
 MARKS = {Live.UNKNOWN: "?", Live.NONE: ".", Live.SLAVE: "s", Live.MASTER_NOT_READY: "m", Live.MASTER_READY: "r",
          Live.MASTER_IN_RING: "M"}
 OWN = "@"
-NAMES = {0x00CA: "Yaskawa V7, SI-P1", 0x0ACF: "Yaskawa V1000/A1000, SI-P3", 0x0E2F: "Altivar ATV340, VW3A3607"}
-
-
-def address(highest: int) -> Callable[[str], int]:
-    """The type of an argument from 0 to `highest`."""
-
-    def parse(text: str) -> int:
-        if not text.isdecimal() or int(text) > highest:
-            raise argparse.ArgumentTypeError(f"{text!r}: a whole number from 0 to {highest}")
-        return int(text)
-
-    return parse
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("port", metavar="PORT", help="path of a serial port or of a segment's port")
-    parser.add_argument("--baudrate", type=int, default=500_000, metavar="B", help="bit/s (default 500000)")
-    parser.add_argument("--address", type=address(125), default=0, metavar="A",
-                        help="this program's own on the bus, which it cannot ask (default 0)")
-    parser.add_argument("--hsa", type=address(HIGHEST), default=HIGHEST, metavar="N", help="highest to ask (default 126)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object, with --watch one a line for each change")
-    parser.add_argument("--watch", action="store_true", help="go on until Ctrl-C, and print again what changes")
+    common.add_port(parser)
+    parser.add_argument("--hsa", type=common.whole(HIGHEST), default=HIGHEST, metavar="N", help="highest to ask (default 126)")
+    parser.add_argument("--watch", action="store_true",
+                        help="go on until Ctrl-C, and print again what changes; with --json a line for each change")
 
 
 @dataclass(frozen=True)
@@ -71,7 +57,7 @@ def describe(entry: LiveEntry) -> str:
         return entry.kind.text
     if entry.ident_number is None:
         return "slave"
-    return f"slave   {entry.ident_number:04X}h  {NAMES.get(entry.ident_number, '')}".rstrip()
+    return f"slave   {entry.ident_number:04X}h  {common.KNOWN.get(entry.ident_number, '')}".rstrip()
 
 
 def grid(picture: Picture) -> Iterator[str]:
@@ -100,7 +86,7 @@ def as_json(picture: Picture, args: argparse.Namespace) -> str:
         "port": str(args.port), "baudrate": args.baudrate, "address": picture.own, "foreign_master": picture.master,
         "stations": [
             {"address": at, "kind": entry.kind.name.lower(), "ident_number": entry.ident_number,
-             "name": NAMES.get(entry.ident_number or 0)}
+             "name": common.KNOWN.get(entry.ident_number or 0)}
             for at, entry in picture.there.items()],
         "unknown": [at for at, entry in picture.stations.items() if entry.kind == Live.UNKNOWN],
     })

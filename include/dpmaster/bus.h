@@ -26,7 +26,8 @@ DPM_API int dpm_bus_open(void *block, size_t size, const dpm_port_config *config
 DPM_API void dpm_bus_get_traits(const dpm_bus *bus, dpm_port_traits *traits);
 /* Start the thread on a machine. With `master` (may be NULL) the thread tells it when the port goes. */
 DPM_API int dpm_bus_start(dpm_bus *bus, dpm_machine *machine, dpm_master *master);
-/* Stop the thread, close the port, wake every waiter with DPM_E_CLOSED. Idempotent; returns within a second. */
+/* Stop the thread, close the port, wake every waiter with DPM_E_CLOSED. A master that is not Offline goes there first: Clear,
+ * and its slaves unlocked. Idempotent; returns within a second. */
 DPM_API void dpm_bus_close(dpm_bus *bus);
 DPM_API int dpm_bus_get_info(dpm_bus *bus, dpm_bus_info *info);
 /* Schedule the running bus thread. DPM_E_MODE before it runs, DPM_E_ARGUMENT, DPM_E_CLOSED, DPM_E_FORKED. */
@@ -44,9 +45,14 @@ DPM_API int dpm_bus_unsubscribe(dpm_bus *bus, dpm_ring *ring);
 /* The same as the dpm_master_ functions, run on the bus thread. Besides their own results: DPM_E_CLOSED, DPM_E_FORKED. */
 DPM_API int dpm_bus_add(dpm_bus *bus, const dpm_slave_set *set, dpm_outputs *outputs, dpm_image *inputs);
 DPM_API int dpm_bus_change(dpm_bus *bus, int index, const dpm_slave_set *set);
+DPM_API int dpm_bus_new_prm(dpm_bus *bus, int index);
+DPM_API int dpm_bus_activate(dpm_bus *bus, int index, bool active);
+DPM_API int dpm_bus_remove(dpm_bus *bus, int index);
 DPM_API int dpm_bus_set_mode(dpm_bus *bus, int mode);
 DPM_API int dpm_bus_request(dpm_bus *bus, dpm_raw *raw);
 DPM_API int dpm_bus_cancel(dpm_bus *bus, dpm_raw *raw);
+DPM_API int dpm_bus_order(dpm_bus *bus, dpm_control *control);
+DPM_API int dpm_bus_revoke(dpm_bus *bus, dpm_control *control);
 DPM_API int dpm_bus_get_status(dpm_bus *bus, dpm_master_status *status);
 DPM_API int dpm_bus_get_ring(dpm_bus *bus, dpm_ring_view *view);
 DPM_API int dpm_bus_get_slave(dpm_bus *bus, int index, dpm_slave_status *status);

@@ -20,7 +20,8 @@ enum dpm_event_kind {
     DPM_EV_PORT,            /* the port: a = 0 working, or the error code; the bus layer puts this one */
     DPM_EV_DUPLICATE,       /* another station has our address: the bus was left */
     DPM_EV_LIVE,            /* live list: address answers differently: a = new, b = old (enum dpm_live) */
-    DPM_EV_ECHO             /* our own token came back wrong twice: the ring was left; a = 1: not at all, and the bus, too */
+    DPM_EV_ECHO,            /* our own token came back wrong twice: the ring was left; a = 1: not at all, and the bus, too */
+    DPM_EV_AUTO_CLEAR       /* Operate was left: address was not in data transfer for Data_Control_Time */
 };
 
 typedef struct dpm_event {

@@ -72,6 +72,9 @@ typedef struct dpm_slave_set {
     bool active;                /* false: listed but never asked */
     uint16_t min_slave_interval; /* 100 us, 0..65535 */
     dpm_history *history;       /* the caller's, where diagnoses are kept; NULL: nowhere */
+    bool any_ident;             /* Set_Prm is sent though Slave_Diag tells another ident number: the slave may refuse it */
+    int64_t diagnosis_poll;     /* ns between two Slave_Diag in Data_Exchange, for a slave that cannot announce; 0: when told */
+    int64_t ready_timeout;      /* ns after which a slave that is still not ready gets Set_Prm and Chk_Cfg anew; 0: never */
 } dpm_slave_set;
 
 typedef struct dpm_slave_statistics {
@@ -91,6 +94,7 @@ typedef struct dpm_slave_status {
     uint8_t state;              /* enum dpm_station_state */
     uint8_t reason;             /* enum dpm_reason, of the last trouble */
     int32_t detail;
+    uint32_t refusals;          /* since it last exchanged data or was silent */
     uint8_t diagnosis[DPM_IO_MAX]; /* as received, with the master's own bits added (Station_Non_Existent,
                                       Invalid_Slave_Response, Master_Lock, Deactivated) */
     uint8_t diagnosis_length;   /* 0: none yet */
@@ -115,7 +119,11 @@ typedef struct dpm_master_status {
     uint8_t fdl_state;          /* enum dpm_fdl_state */
     bool latched;               /* the output watchdog ran out */
     uint8_t fed_by;             /* enum dpm_feed; latched: the last before it ran out */
+    int16_t auto_cleared;       /* the station for whose sake Operate was left (Auto_Clear), -1 none */
     int16_t foreign;            /* address of the foreign master heard last, -1 none */
+    uint8_t data_transfer[16];  /* Data_Transfer_List: bit n % 8 of octet n / 8 is address n; was in data transfer within
+                                   Data_Control_Time */
+    uint8_t system_diagnostic[16]; /* System_Diagnostic: active and not in Data_Exchange, or with a diagnosis to look at */
     uint64_t cycle;
     int64_t cycle_last;         /* ns, duration of the last whole cycle */
     int64_t cycle_max;
@@ -131,8 +139,23 @@ typedef struct dpm_master_config {
     uint16_t slaves;             /* room for so many, 1..126 */
     int64_t cycle_time;          /* ns from one cycle's start to the next one's, up to an hour; 0: free running */
     int64_t output_watchdog;     /* ns; 0: off */
-    int64_t control_interval;    /* ns between repetitions of Global_Control; Data_Control_Time / 3 */
+    int64_t data_control_time;   /* ns; Global_Control is repeated three times in it */
+    bool auto_clear;             /* Error_Action_Flag: Operate is left when an active slave was not in data transfer for so long */
+    int8_t data_retries;         /* Max-Retry-Limit(DX): repetitions of a Data_Exchange in its cycle, 0..15; -1: max_retry_limit.
+                                    The slave is lost after max_retry_limit repetitions all the same, those of later cycles
+                                    among them */
 } dpm_master_config;
+
+/* A Global_Control ordered by a program. It goes out before the first Data_Exchange of a cycle, once each slave concerned
+ * was given what was committed before the order. The memory is the caller's, until `done` or cancelled. */
+typedef struct dpm_control {
+    uint8_t da;                  /* one slave, or DPM_BROADCAST */
+    uint8_t command;             /* Unfreeze 04h, Freeze 08h, Unsync 10h, Sync 20h; Clear_Data is added */
+    uint8_t group;               /* Group_Select; 0: all */
+    int8_t clear;                /* 1: outputs of those concerned are safe at once and stay so; 0: no longer, but for Clear;
+                                    -1: as it is */
+    bool done;
+} dpm_control;
 
 /* A raw request, made by a program step by step. The memory is the caller's, until `done` or cancelled. */
 typedef struct dpm_raw dpm_raw;
@@ -165,15 +188,27 @@ DPM_API dpm_station *dpm_master_station(dpm_master *master);
 /* Add a slave; its images are the caller's. Returns its index (0, 1, ...) or DPM_E_ADDRESS, DPM_E_DUPLICATE, DPM_E_FULL,
  * DPM_E_CONFIGURATION, DPM_E_LENGTH. */
 DPM_API int dpm_master_add(dpm_master *master, const dpm_slave_set *set, dpm_outputs *outputs, dpm_image *inputs);
-/* Replace a slave's set (same address, same lengths); what Set_Prm carries takes effect at the next Set_Prm. */
+/* Replace a slave's set (same address, same lengths, `active` as it is); what Set_Prm carries takes effect at the next
+ * Set_Prm. */
 DPM_API int dpm_master_change(dpm_master *master, int index, const dpm_slave_set *set);
-/* Change the mode. Leaving Operate makes all outputs safe; STOP and OFFLINE unlock the slaves first (leaving), for
- * which the machine takes its time: watch status.mode. Going to OPERATE ends a latch. DPM_E_ARGUMENT. */
+/* New_Prm: Set_Prm and what follows, from wherever the slave is; it comes back with safe outputs. */
+DPM_API int dpm_master_new_prm(dpm_master *master, int index, int64_t now);
+/* Deactivate: outputs safe, unlocked, then INACTIVE, for which the machine takes its time. Activate: it is started again. */
+DPM_API int dpm_master_activate(dpm_master *master, int index, bool active, int64_t now);
+/* Forget a slave that is INACTIVE, else DPM_E_BUSY; its index and its place are free, its images the caller's again. */
+DPM_API int dpm_master_remove(dpm_master *master, int index);
+/* Change the mode, by steps between neighbours. Leaving Operate makes all outputs safe; STOP and OFFLINE unlock the slaves
+ * first (leaving), for which the machine takes its time: watch status.mode. Going to OPERATE ends a latch. DPM_E_ARGUMENT;
+ * DPM_E_MODE with auto_clear while an active slave is not in data transfer. */
 DPM_API int dpm_master_set_mode(dpm_master *master, int mode, int64_t now);
 /* Queue a request: each has its turn behind those that were there before, one for each cycle or turn of the token. It is done
- * at once, with DPM_CONF_DS, when the station leaves the bus or the port is gone. DPM_E_MODE in Offline. */
+ * at once, with DPM_CONF_DS, when the station leaves the bus or the port is gone. Slave_Diag of a slave in Data_Exchange serves
+ * the handler as well as the caller. DPM_E_MODE in Offline. */
 DPM_API int dpm_master_request(dpm_master *master, dpm_raw *raw);
 DPM_API void dpm_master_cancel(dpm_master *master, dpm_raw *raw);
+/* DPM_E_BUSY: one is ordered already. DPM_E_MODE: no slave is exchanged with, or clear = 0 in Clear. DPM_E_ARGUMENT. */
+DPM_API int dpm_master_order(dpm_master *master, dpm_control *control, int64_t now);
+DPM_API void dpm_master_revoke(dpm_master *master, dpm_control *control);
 DPM_API void dpm_master_get_status(const dpm_master *master, dpm_master_status *status);
 DPM_API int dpm_master_get_slave(const dpm_master *master, int index, dpm_slave_status *status);
 /* The port vanished or came back: everything is lost, or starts anew. */

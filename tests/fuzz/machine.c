@@ -7,8 +7,8 @@
  *
  * An input is a list of steps: what happens next, to whom, for how long, with which octets. Oracles: an offer is one whole
  * telegram of the machine's own and in time; asking again without an event changes nothing; a Data_Exchange carries zeros
- * or one commit, newer than whatever made the outputs safe last; Offline nothing is sent; a slave's outputs are
- * zeros unless it is in Data_Exchange.
+ * or one commit, newer than whatever made the outputs safe last, Clear by order included; Offline nothing is sent; a slave's
+ * outputs are zeros unless it is in Data_Exchange.
  */
 #include <stdio.h>
 #include <stdlib.h>
@@ -36,6 +36,7 @@ typedef struct {
     void *blocks[2 * KNOWN + 2 * PRESENT + 2];
     size_t n_blocks;
     dpm_raw raw;
+    dpm_control order;
 } bench;
 
 static uint8_t next(bench *b) { return b->at < b->end ? *b->at++ : 0; }
@@ -52,7 +53,7 @@ static dpm_image *image(bench *b)
 
 static void make_master(bench *b, const dpm_parameters *parameters)
 {
-    dpm_master_config config = {.slaves = KNOWN, .output_watchdog = WATCHDOG, .control_interval = 20000000};
+    dpm_master_config config = {.slaves = KNOWN, .output_watchdog = WATCHDOG, .data_control_time = 60000000, .data_retries = -1};
     dpm_slave_set set = {.ident_number = IDENT, .configuration = {0x31}, .configuration_length = 1, .wd_fact_1 = 1,
                          .wd_fact_2 = 2, .min_tsdr = 11, .active = true};
     config.station.parameters = *parameters;
@@ -286,6 +287,26 @@ static void touch_slave(bench *b)
     }
 }
 
+/* Stations come, go and change, and Global_Control is ordered. */
+static void manage(bench *b)
+{
+    const uint8_t what = next(b), i = what % KNOWN;
+    switch (what >> 4 & 3) {
+    case 0: (void)dpm_master_activate(b->master, i, what & 0x40, b->now); break;
+    case 1: (void)dpm_master_new_prm(b->master, i, b->now); break;
+    case 2: dpm_master_revoke(b->master, &b->order); break;
+    default:
+        dpm_master_revoke(b->master, &b->order);
+        b->order = (dpm_control){.da = what & 0x40 ? (uint8_t)(FIRST + i) : DPM_BROADCAST, .command = next(b) & 0x3C,
+                                 .clear = (int8_t)(next(b) % 3 - 1)};
+        if (dpm_master_order(b->master, &b->order, b->now) == DPM_OK && b->order.clear == 1)
+            for (int j = 0; j < KNOWN; j++)
+                if (b->order.da == DPM_BROADCAST || j == i)
+                    b->safe[j] = b->newest[j];
+        break;
+    }
+}
+
 static void step(bench *b)
 {
     static const int modes[] = {DPM_MODE_OFFLINE, DPM_MODE_STOP, DPM_MODE_CLEAR, DPM_MODE_OPERATE};
@@ -304,6 +325,7 @@ static void step(bench *b)
     case 11: touch_slave(b); break;
     case 12: dpm_master_port(b->master, with & 1, b->now); break;
     case 13: dpm_master_feed(b->master, b->now, DPM_FED_PROGRAM); break;
+    case 14: manage(b); break;
     default: (void)dpm_master_set_mode(b->master, DPM_MODE_OPERATE, b->now); commit(b, 0); run(b, 40); break;
     }
     note_safe(b);
