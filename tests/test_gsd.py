@@ -212,6 +212,12 @@ def test_objects_that_are_dropped_leave_nothing_behind() -> None:
     assert all("PrmText was given" in text for text in texts(gsd)) and len(gsd.findings) == 100
 
 
+def test_findings_are_bounded_and_errors_are_not_lost_among_notes() -> None:
+    gsd = parse("".join(f"Foo{n} = 1\n" for n in range(2000)) + "Max_Module = x")
+    assert len(gsd.findings) == 1000 + 1 + 1 and str(gsd.findings[-1]) == "note: and 1000 findings more"
+    assert gsd.findings[-2].severity is Severity.ERROR and len(gsd.unknown) == 2000
+
+
 def test_strict_makes_an_error_of_the_first_error() -> None:
     assert parse("FMS_supp = 7", strict=True).fms  # a warning
     with pytest.raises(ConfigurationError, match=r"^GSD:7:1: error: Max_Module: a number is missing"):

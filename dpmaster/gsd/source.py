@@ -125,9 +125,9 @@ class Source:
         return line, offset - self._lines[line - 1] + 1
 
     def note(self, severity: Severity, offset: int | None, text: str) -> None:
-        """Add a finding; offset None is for the file as a whole."""
+        """Add a finding; offset None is for the file as a whole. Errors have room of their own."""
         self.errors += severity is Severity.ERROR
-        if len(self.findings) >= FINDINGS_MAX:
+        if len(self.findings) >= FINDINGS_MAX and (severity is not Severity.ERROR or self.errors > FINDINGS_MAX):
             self.dropped += 1
         else:
             self.findings.append(Finding(*((0, 0) if offset is None else self.place(offset)), severity, text))
