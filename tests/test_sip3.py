@@ -706,6 +706,16 @@ def test_f6_03_reaction_to_an_external_fault(f6_03: int, hz: float) -> None:
     assert host.card.fault is None and not host.word(0) & ALARM
 
 
+def test_an_alarm_only_hides_no_fault_and_keeps_none_from_being_reset() -> None:
+    host = Host(BASIC, settings={"F6-03": 3})
+    host.drive(0x0100)
+    assert host.card.fault is None and host.card.alarms == {"EF0"}
+    host.drive(0x0104)
+    assert host.card.fault == "EF3" and host.card.alarms == {"EF0"}
+    host.drive(0x0300)
+    assert host.card.fault is None and host.card.alarms == {"EF0"}
+
+
 def test_f6_02_external_fault_only_during_operation() -> None:
     host = Host(BASIC, settings={"F6-02": 1})
     host.drive(0x0100)

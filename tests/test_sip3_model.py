@@ -24,6 +24,9 @@ PLACES = {(pnu, index): register for name, pnu, index, register, *_ in PARAMETER
 BY_REGISTER = {entry[3]: entry for entry in PARAMETERS}
 ROOM = (0x0550, 0x0600, 0x000A)  # registers without a parameter; 000Ah is a command register
 REGISTERS = sorted([*(BY_REGISTER.keys() - {0x3CE}), *ROOM, 0, 0x22, 0x601, 0x900, 0x910, 0xFFFF])
+ADDRESSES = [0x200, 0x201, 0x280, 0x281, 0x282, 0x292, 0x303, 0x3A2, 0x3CC, 0x41F, 0x43, *ROOM, 0, 0x22, 0x601, 0x900, 0x910,
+             0xFFFF]
+"""Where MEMOBUS messages begin: up to four registers from there on are all known here."""
 
 words = st.one_of(st.sampled_from([0, 1, 2, 3, 10, 400, 600, 4000, 40000, 40001, 60000, 60001, 0xD8F1, 0xD8F0, 0xFFFF]),
                   st.integers(0, 0xFFFF))
@@ -213,7 +216,7 @@ class Requests(RuleBasedStateMachine):
         self.pkw(6, pnu_index, 0)
 
     @precondition(lambda self: self.words)
-    @rule(function=st.sampled_from([3, 3, 8, 0x10, 0x10, 0x10, 7, 0x83]), address=st.sampled_from(REGISTERS),
+    @rule(function=st.sampled_from([3, 3, 8, 0x10, 0x10, 0x10, 7, 0x83]), address=st.sampled_from(ADDRESSES),
           length=st.sampled_from([0, 1, 2, 2, 2, 4, 6, 8, 10]), data=st.lists(words, min_size=4, max_size=4))
     def memobus(self, function: int, address: int, length: int, data: list[int]) -> None:
         data = data[:self.words]

@@ -61,6 +61,13 @@ class Bench:
 
     # the master
 
+    def power_cycle(self) -> None:
+        assert lib.dpm_slaves_reset(self.rig.slaves, 0, self.rig.time) == 0
+        self.card.reset(self.rig.time / NS)
+        self.live()
+        self.rig.quiet(self.rig.time + NS // 2)
+        self.live()
+
     def prm(self, user: bytes = PRM) -> bytes:
         return self.master.prm(ident=0x0ACF, user=user)
 
@@ -184,6 +191,17 @@ def test_the_diagnosis_is_announced_and_gone_again() -> None:
     bench.exchange("00" * 8 + process)
 
 
+def test_an_illegal_pnu_that_was_stored_is_told_after_power_up() -> None:
+    bench = Bench()
+    bench.start("PPO Type 2")
+    process = f"{HALT} 0000 0000 0000 0000 0000"
+    bench.exchange("7394 0003 00000100" + process, 20, fc=0x0A)
+    bench.exchange("23CB 0000 00000001" + process, 20, fc=0x0A)
+    bench.power_cycle()
+    bench.start("PPO Type 2")
+    assert bench.master.diag()[6:] == octets("05 81 00 00 08")
+
+
 @pytest.mark.parametrize(("f6_31", "hz"), [(0, 0.0), (1, 30.0)])
 def test_clear_is_an_empty_data_exchange(f6_31: int, hz: float) -> None:
     """Fail_Safe: in Clear the card gets no data; F6-31 says what that means. A slave with inputs answers all the same."""
@@ -247,8 +265,9 @@ def test_set_slave_add_writes_the_node_address() -> None:
 def test_with_a_node_address_of_0_the_card_is_never_ready() -> None:
     bench = Bench()
     bench.card.registers["F6-30"] = 0
-    bench.card.reset(bench.rig.time / NS)
-    bench.live()
+    bench.start("PPO Type 1")
+    assert not bench.master.diag()[0] & 0x02  # "Power must be cycled"
+    bench.power_cycle()
     bench.start("PPO Type 1")
     assert bench.master.diag()[0] & 0x02  # Station_Not_Ready
 

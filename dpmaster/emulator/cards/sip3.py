@@ -11,12 +11,13 @@ import logging
 import math
 import random
 import threading
-from collections.abc import Iterator, Mapping, MutableMapping, Set
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Literal
 
 from dpmaster.emulator.card import Card, Exchange, Slave, SlaveState
+from dpmaster.emulator.cards._sip3_registers import Registers
 from dpmaster.emulator.motor import Motor
 from dpmaster.errors import ConfigurationError
 from dpmaster.profiles import pkw, ppo
@@ -57,129 +58,6 @@ _NO_COMMAND = Command(0)
 _NOTHING_TOLD = (b"", True)  # diagnosis and readiness as a slave has them from the start
 
 _log = logging.getLogger(__name__)
-
-
-class Registers(MutableMapping[int | str, int]):
-    """The drive's registers as a person with the keypad sees them, 0000h to 0600h.
-
-    A name ("C1-01") stands for the parameter's count, with its sign and its limits, a number for the raw word. What is
-    set here is in force and stored at once; what the bus writes is in force after an Enter command, and stored with the
-    one to ROM. 0020h to 00FFh are monitors; setting one pins it until ``del`` frees it, for tests of the other side.
-    Registers without a parameter are mere room: they keep what was written until the power is cycled.
-    """
-
-    def __init__(self, card: SIP3, table: Table) -> None:
-        self._card = card
-        self._table = table
-        self._words: dict[int, int] = {}
-        self._active: dict[int, int] = {}
-        self._settings: dict[str, int] = {}
-        self._stored = {address: word for name in table for address, word in self._split(name, table[name].default)
-                        if address not in profile.MONITORS}
-        self.recall()
-
-    def __getitem__(self, key: int | str) -> int:
-        if parameter := self._named(key):
-            word = 0
-            for address in parameter.registers:
-                word = word << 16 | self.word(address)
-            return parameter.count(word)
-        return self.word(self._address(key))
-
-    def __setitem__(self, key: int | str, value: int) -> None:
-        low, high = self.limits(key)
-        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-            raise ConfigurationError(f"{key} = {value!r}: the register takes {low} to {high}")
-        words = dict(self._split(key, value) if self._named(key) else [(self._address(key), value)])
-        with self._card._lock:
-            self._words |= words
-            self._take(words.keys() & self._active.keys(), store=True)
-
-    def __delitem__(self, key: int | str) -> None:
-        """Back to the factory's value; a pinned monitor lives again."""
-        address = self._address(key)
-        parameter = self._table.at(address)
-        if parameter and parameter.access != "r":
-            self[parameter.name] = parameter.default
-        else:
-            with self._card._lock:
-                self._words.pop(address, None)
-
-    def __iter__(self) -> Iterator[int]:
-        return iter(range(LAST_REGISTER + 1))
-
-    def __len__(self) -> int:
-        return LAST_REGISTER + 1
-
-    def limits(self, key: int | str) -> tuple[int, int]:
-        """Lowest and highest count of a parameter; of a number that is no parameter's, of the word."""
-        parameter = self._named(key)
-        if parameter is None:
-            parameter = self._table.at(self._address(key))
-            if parameter is None or parameter.double or parameter.minimum < 0:
-                return 0, 0xFFFF
-        return parameter.minimum, parameter.maximum
-
-    def word(self, address: int) -> int:
-        """The raw word at an address, as the bus reads it."""
-        with self._card._lock:
-            if address in self._words:
-                return self._words[address]
-            return self._card._monitor(address) if address in profile.MONITORS else 0
-
-    def write(self, address: int, words: list[int]) -> None:
-        """What the bus writes: to be read back at once, in force after `enter`."""
-        self._words.update(enumerate(words, address))
-
-    def setting(self, name: str) -> int:
-        """What is in force of a parameter of one word; `name` as the table writes it."""
-        if name not in self._settings:  # most are asked for many times between two Enter commands
-            parameter = self._table[name]
-            self._settings[name] = parameter.count(self._active[parameter.register])
-        return self._settings[name]
-
-    def enter(self, store: bool) -> None:
-        """The Enter command: what was written comes into force, and with `store` outlives the power."""
-        self._take(self._active.keys(), store)
-
-    def _take(self, addresses: Set[int], store: bool) -> None:
-        self._active |= {address: self._words[address] for address in addresses}
-        self._settings.clear()
-        if self.setting("A1-03") in (2220, 3330):
-            self._initialise()
-        if store:
-            self._stored |= {address: self._active[address] for address in addresses}
-
-    def recall(self) -> None:
-        """What power-up finds."""
-        self._active = dict(self._stored)
-        self._words = dict(self._stored)
-        self._settings.clear()
-
-    def _initialise(self) -> None:
-        """A1-03: the factory's values, without F6 and F7 unless F6-08 says so. A1-02 is never initialised."""
-        kept = ("A1-02",) if self.setting("F6-08") else ("A1-02", "F6-", "F7-")
-        for name in self._table:
-            if self._table[name].access != "r" and (not name.startswith(kept) or name == "A1-03"):
-                self._active.update(self._split(name, self._table[name].default))
-        self._words |= self._active
-        self._stored |= self._active
-        self._settings.clear()
-
-    def _named(self, key: int | str) -> profile.Parameter | None:
-        """The parameter when `key` is its name."""
-        return self._table.get(key) if isinstance(key, str) else None
-
-    def _split(self, name: int | str, count: int) -> list[tuple[int, int]]:
-        """Addresses and words of a parameter's count, the high word first."""
-        registers = self._table[str(name)].registers
-        return [(address, count >> 16 * (registers[-1] - address) & 0xFFFF) for address in registers]
-
-    def _address(self, key: int | str) -> int:
-        address = self._table.register(key)
-        if address > LAST_REGISTER:
-            raise ConfigurationError(f"register {key!r}: the drive has 0000h to {LAST_REGISTER:04X}h")
-        return address
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,7 +138,7 @@ class SIP3(Card):
         self._assigned_stored = dict(self._assigned)
         self._told = _NOTHING_TOLD
         self._numbers = _Numbers(self)
-        self.registers = Registers(self, table)
+        self.registers = Registers(table, self._monitor, self._lock)
         self._set_up(parameters, dict(settings))
         self._forget()
 
@@ -282,6 +160,7 @@ class SIP3(Card):
         """What power-up finds: nothing that only memory held."""
         self.registers.recall()
         self._assigned = dict(self._assigned_stored)
+        self._disabled = self.registers.setting("F6-30") == 0
         self._address = self.registers.setting("F6-30") or self._address
         self._index_size: pkw.IndexSize = "byte" if self.registers.setting("F6-33") else "word"
         self._now = 0.0
@@ -310,7 +189,7 @@ class SIP3(Card):
     @address.setter
     def address(self, address: int) -> None:
         if address != self._address:
-            self._address = address
+            self._address, self._disabled = address, False
             if address <= YASKAWA_1000["F6-30"].maximum:
                 self.registers["F6-30"] = address
 
@@ -403,6 +282,7 @@ class SIP3(Card):
             self._forget()
             self.motor.cut(now)
             self._powered = self._now = self._since_fault = now
+            self._told = (b"", self._told[1])  # a slave without power forgets its diagnosis
 
     def step(self, now: float, exchange: Exchange) -> bytes:
         with self._lock:
@@ -420,7 +300,7 @@ class SIP3(Card):
 
     def _tell(self) -> None:
         """Give the slave what has changed of diagnosis and readiness: with a node address of 0 the card takes no part."""
-        now = (self.diagnosis, self.registers.setting("F6-30") != 0)
+        now = (self.diagnosis, not self._disabled)
         if self.slave and now != self._told:
             self._told = now
             self.slave.diagnose(now[0], announce=True, ext_diag=bool(now[0]), static_diag=False)
@@ -605,8 +485,7 @@ class SIP3(Card):
     @property
     def _ready(self) -> bool:
         """Whether the card has come up; with a node address of 0 it never does."""
-        return (self._powered is not None and self._now >= self._powered + INITIALISATION
-                and self.registers.setting("F6-30") != 0)
+        return self._powered is not None and self._now >= self._powered + INITIALISATION and not self._disabled
 
     def _ticks(self, now: float) -> int:
         """How often WD has counted up."""
@@ -660,29 +539,28 @@ class SIP3(Card):
         self._edges = (orders.reset, orders.history_reset)
         if orders.history_reset and not edges[1]:
             self.history.clear()
-        if orders.reset and not edges[0] and self._fault and not self._cause():
+        if orders.reset and not edges[0] and all(self._reaction(cause) == 3 for cause in self._causes()):
             self._fault = None
         self._judge()
         self._act(self._now)
 
-    def _cause(self) -> str | None:
-        """The fault that is there now, whether displayed or not, one that is set to alarm only included."""
+    def _causes(self) -> Iterator[str]:
+        """Faults that are there now, whether displayed or not, those that are set to alarm only included."""
         if self._injected:
-            return self._injected
+            yield self._injected
         if self._established and self._module is None and self._assigned_to_bus:
-            return "bUS"
+            yield "bUS"
         if self._orders.external_fault and (not self.registers.setting("F6-02") or self.motor.powered or self._fault == "EF0"):
-            return "EF0"
+            yield "EF0"
         for name, flag in profile.INPUT_TERMINALS.items():
             if self._orders.terminals & flag and self.registers.setting(f"H1-0{name[1]}") == 0x24:
-                return f"EF{name[1]}"
-        return None
+                yield f"EF{name[1]}"
 
     def _judge(self) -> None:
         """The first fault stays on the display until it is reset; one in the card itself goes before it."""
-        cause = self._cause()
-        self._alarm = cause if cause and self._reaction(cause) == 3 else None
-        fault = self._injected or self._fault or (None if self._alarm else cause)
+        causes = list(self._causes())
+        self._alarm = next((cause for cause in causes if self._reaction(cause) == 3), None)
+        fault = self._injected or self._fault or next((cause for cause in causes if self._reaction(cause) != 3), None)
         if fault and fault != self._fault:
             self.history.insert(0, (fault, min(int(self._now - self._since_fault), 0xFFFF)))
             del self.history[_HISTORY:]
@@ -842,7 +720,7 @@ class SIP3(Card):
             return "No power"
         if self._injected and self._injected.startswith(("oFA3", "oFA4")):
             return "Self-diagnostics error"
-        if self._injected or self.registers.setting("F6-30") == 0:
+        if self._injected or self._disabled:
             return "Problem connecting to the drive"
         if not self._ready:
             return "Checking"
@@ -880,27 +758,7 @@ class SIP3(Card):
         return AccessCode.ADDRESS if request.address + n - 1 > LAST_REGISTER else None
 
     def _write_refusal(self, address: int, words: list[int]) -> AccessCode | None:
-        """Why the drive does not take these words, None when it does."""
-        enter = len(words) == 1 and address in (profile.ENTER_RAM, profile.ENTER_ROM)
-        if not enter and address + len(words) - 1 > LAST_REGISTER:
-            return AccessCode.ADDRESS
-        if self.undervoltage or self.storing or (address == profile.ENTER_ROM and self.running):
-            return AccessCode.WRITE
-        if enter:
-            return None
-        table = self.registers._table
-        new = dict(enumerate(words, address))
-        affected = {parameter for at in new if (parameter := table.at(at))}
-        if any(at in profile.MONITORS for at in new) or any(
-                parameter.access == "r" or (self.running and not parameter.running) for parameter in affected):
-            return AccessCode.WRITE
-        for parameter in affected:
-            word = 0
-            for at in parameter.registers:
-                word = word << 16 | new.get(at, self.registers.word(at))
-            if not parameter.minimum <= parameter.count(word) <= parameter.maximum:
-                return AccessCode.CONTENT
-        return None
+        return self.registers.refusal(address, words, running=self.running, blocked=self.undervoltage or self.storing)
 
     def _write(self, address: int, words: list[int]) -> None:
         """Carry out a write that was not refused."""
@@ -966,13 +824,9 @@ class _Numbers:
             return LAST_REGISTER + 1
         if pnu in profile.GROUPS:
             return profile.GROUP_ELEMENTS
-        for types in (profile.PNU_WRITE_TYPES, profile.PNU_READ_TYPES):
-            if pnu in types:
-                return ppo.TYPES[types[pnu]].size // 2
-        if pnu in (profile.PNU_ASSIGN_WRITE, profile.PNU_ASSIGN_READ, profile.PNU_FAULTS, profile.PNU_FAULT_TIMES):
-            return 10
-        if pnu == profile.PNU_IDENTIFICATION:
-            return len(profile.IDENTIFICATION)
+        array = self._array(pnu)
+        if array is not None:
+            return len(array)
         if pnu not in _SINGLE:
             raise Refusal(pkw.Error.PNU)
         return None
@@ -982,10 +836,7 @@ class _Numbers:
             raise Refusal(pkw.Error.PNU)
         if pnu == profile.PNU_REGISTERS or pnu in profile.GROUPS:
             registers = self._registers(pnu, index)
-            word = 0
-            for address in registers:
-                word = word << 16 | self._card.registers.word(address)
-            return Value(word, len(registers) == 2)
+            return Value(self._card.registers.value(registers), len(registers) == 2)
         array = self._array(pnu)
         if array is None:
             return Value(self._single(pnu))
@@ -1030,7 +881,7 @@ class _Numbers:
             if not 1 <= index <= LAST_REGISTER:
                 raise Refusal(pkw.Error.INDEX)
             return range(index, index + 1)
-        parameter = self._card.registers._table.get(profile.parameter_name(pnu, index))
+        parameter = self._card.registers.table.get(profile.parameter_name(pnu, index))
         if parameter is None:
             raise Refusal(pkw.Error.INDEX)
         return parameter.registers
@@ -1068,7 +919,7 @@ class _Numbers:
             case profile.PNU_WRITE_TYPE | profile.PNU_READ_TYPE:
                 return self._type().type
             case profile.PNU_ADDRESS:
-                return card.registers.setting("F6-30")
+                return card.address
             case profile.PNU_BAUDRATE:
                 return profile.BAUDRATES[card._exchange.baudrate]
             case profile.PNU_PROFILE:
