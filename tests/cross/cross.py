@@ -34,6 +34,12 @@ PACKAGES = ("python3-minimal", "libpython3-stdlib", "python3-cffi-backend", "lib
 CONF = """APT::Architecture "{1}"; APT::Architectures {{ "{1}"; }}; APT::Sandbox::User "root";
 Dir::State "{0}"; Dir::State::Lists "{0}/lists"; Dir::State::status "{0}/status"; Dir::Cache "{0}";
 """
+# An emulated processor is ten times slower: random tests draw less, and no time is too long for one draw.
+PROFILE = """
+from hypothesis import HealthCheck, settings
+settings.register_profile("emulated", deadline=None, max_examples=20, suppress_health_check=list(HealthCheck))
+settings.load_profile("emulated")
+"""
 
 
 @dataclass(frozen=True)
@@ -117,6 +123,7 @@ def build_package(target: Target, root: Path, place: Path) -> None:
     shutil.copytree(ROOT / "dpmaster", place / "dpmaster", ignore=shutil.ignore_patterns("*.so", "__pycache__"))
     for name in ("tests", "include", "csrc"):
         (place / name).symlink_to(ROOT / name)
+    (place / "emulated.py").write_text(PROFILE)
     (place / "pytest.ini").write_text("[pytest]\nmarkers = tree\n")  # not the tree's own: Debian's pytest is older
     (place.parent / "shared").unlink(missing_ok=True)
     if (ROOT.parent / "shared").exists():
@@ -140,7 +147,8 @@ def test_the_core_s_tests_pass_in_python(target: Target) -> None:
             pytest.skip(f"not run: no Python for {target.debian} to be had from apt: {error}")
     build_package(target, root, place)
     (python,) = (root / "usr/bin").glob("python3.*[0-9]")
-    ran = run(target.emulator, "-L", root, python, "-m", "pytest", "--quiet", "-p", "no:cacheprovider", "-W", "ignore",
+    ran = run(target.emulator, "-L", root, python, "-m", "pytest", "--quiet", "-p", "no:cacheprovider", "-p", "emulated",
+              "-W", "ignore",
               *(f"tests/{name}.py" for name in CORE_TESTS), cwd=place, timeout=1200,
               env=os.environ | {"PYTHONPATH": str(place), "PYTHONDONTWRITEBYTECODE": "1"})
     print(ran)

@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: MIT
+"""Serial ports of this computer: which there are, what is behind a path, which rates and modes its driver really has.
+
+pyserial finds them; what a driver does is tried by the library itself, since some drivers say yes to everything. Nothing here
+sends a bit.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import grp
+import os
+import stat
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+from serial.tools import list_ports
+
+from dpmaster import _arguments
+from dpmaster._core import block, ffi, lib
+from dpmaster.bus import port_error
+from dpmaster.errors import PortError
+from dpmaster.parameters import BAUDRATES, BusParameters
+
+__all__ = ["Port", "Rate", "ports"]
+
+PTYS, USB = range(136, 144), (166, 188)  # major numbers: Documentation/admin-guide/devices.txt
+LEVELS = ("device", "device/..", "device/../..")  # since Linux 6.5 two devices of the serial core lie in between
+SERIAL_CORE = ("port", "ctrl")
+TIOCGRS485, TIOCSRS485 = 0x542E, 0x542F
+RS485_ENABLED = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Rate:
+    """A PROFIBUS rate on a port, bit/s: what the driver makes of it, None: it refuses, or is off by more than 0.3 %."""
+
+    nominal: int
+    made: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class Port:
+    """A serial port as the system describes it; None and empty where it does not."""
+
+    path: str
+    kind: str
+    """"uart", "usb" or "pty": the profile that a `Master` takes for it."""
+    driver: str = ""
+    description: str = ""
+    links: tuple[str, ...] = ()
+    """Paths that lead to it and stay the same when it is plugged in elsewhere, or later."""
+    sys: Path | None = None
+    """Its directory under /sys/class/tty."""
+
+    @classmethod
+    def at(cls, path: str) -> Port:
+        """The port at `path`. Raises PortError when there is none."""
+        path = _arguments.path(path)
+        try:
+            status = os.stat(path)
+        except OSError as error:
+            raise port_error(path, lib.DPM_E_PERMISSION if error.errno == errno.EACCES else lib.DPM_E_NO_PORT) from None
+        if not stat.S_ISCHR(status.st_mode):
+            raise port_error(path, lib.DPM_E_NOT_TTY)
+        major, minor = os.major(status.st_rdev), os.minor(status.st_rdev)
+        if major in PTYS:
+            return cls(path, "pty", description="a pseudo-terminal: a virtual segment, or another program")
+        sys = Path(f"/sys/dev/char/{major}:{minor}")
+        if not (sys / "device").exists():
+            raise port_error(path, lib.DPM_E_NOT_TTY)
+        return cls(path, "usb" if major in USB else "uart", _driver(sys), _description(path), _links(path), sys.resolve())
+
+    def read(self, name: str) -> str:
+        """A file of its directory under /sys, "" where there is none."""
+        try:
+            return (self.sys / name).read_text().strip() if self.sys else ""
+        except OSError:
+            return ""
+
+    @property
+    def console(self) -> bool:
+        """The kernel writes its messages there, or a login waits on it."""
+        return Path(self.path).resolve().name in _words("/sys/class/tty/console/active")
+
+    @property
+    def access(self) -> str:
+        """The group that may open it, where this user may not; "" where he may."""
+        if os.access(self.path, os.R_OK | os.W_OK):
+            return ""
+        group = os.stat(self.path).st_gid
+        try:
+            return grp.getgrgid(group).gr_name
+        except KeyError:
+            return str(group)
+
+    def rates(self) -> tuple[Rate, ...]:
+        """Every PROFIBUS rate, set and read back. Raises PortError where it cannot be opened at all."""
+        return tuple(Rate(nominal, self._try(nominal)) for nominal in BAUDRATES)
+
+    def _try(self, nominal: int, direction: int = lib.DPM_DIRECTION_AUTO) -> int | None:
+        rate = BusParameters.default(nominal).rate
+        path = ffi.new("char[]", os.fsencode(self.path))
+        config = ffi.new("dpm_port_config *", {"path": path, "rate_num": rate.numerator, "rate_den": rate.denominator,
+                                               "direction": direction, "allowance": -1})
+        memory, out, info = block(lib.dpm_port_size()), ffi.new("dpm_port **"), ffi.new("dpm_port_info *")
+        code = lib.dpm_port_open(memory, len(memory), config, out)
+        if code in (lib.DPM_E_RATE, lib.DPM_E_RS485):
+            return None
+        if code < 0:
+            raise port_error(self.path, code)
+        lib.dpm_port_get_info(out[0], info)
+        lib.dpm_port_close(out[0])
+        return int(info.rate)
+
+    def rs485(self) -> tuple[bool, bool]:
+        """Whether the driver can switch the direction, and whether it does already. What it was set to is put back."""
+        fd = os.open(self.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
+        try:
+            before = fcntl.ioctl(fd, TIOCGRS485, bytes(32))
+            can = self._try(9600, lib.DPM_DIRECTION_RS485) is not None
+            if can:
+                fcntl.ioctl(fd, TIOCSRS485, before)
+            return can, bool(struct.unpack_from("I", before)[0] & RS485_ENABLED)
+        except PortError:
+            raise
+        except OSError:  # it does not know the question
+            return False, False
+        finally:
+            os.close(fd)
+
+
+def ports() -> tuple[Port, ...]:
+    """The serial ports of this computer, by path; ptys are not among them. Entries of the kernel with no UART are left out."""
+    found = []
+    for entry in sorted(list_ports.comports(), key=lambda entry: str(entry.device)):
+        try:
+            found.append(Port.at(str(entry.device)))
+        except PortError:  # gone since, or not for a program
+            pass
+    return tuple(found)
+
+
+def _driver(sys: Path) -> str:
+    names = [(sys / level / "driver").resolve().name for level in LEVELS if (sys / level / "driver").exists()]
+    return next((name for name in names if name not in SERIAL_CORE), "")
+
+
+def _description(path: str) -> str:
+    """What an adapter says of itself, or the device tree of a UART."""
+    device = str(Path(path).resolve())
+    entry = next((entry for entry in list_ports.comports() if entry.device == device), None)
+    if entry is None or entry.vid is None:
+        node = Path(f"/sys/class/tty/{Path(device).name}/device/of_node/compatible")
+        return node.read_bytes().split(b"\0")[0].decode() if node.exists() else ""
+    words = (entry.manufacturer, entry.product, entry.serial_number)
+    return f"{' '.join(word for word in words if word)} ({entry.vid:04x}:{entry.pid:04x})"
+
+
+def _links(path: str) -> tuple[str, ...]:
+    device = Path(path).resolve()
+    folders = (Path("/dev/serial/by-id"), Path("/dev"))
+    return tuple(sorted(str(link) for folder in folders if folder.is_dir() for link in folder.iterdir()
+                        if link.is_symlink() and link.resolve() == device and not link.name.startswith("std")))
+
+
+def _words(path: str) -> list[str]:
+    try:
+        return Path(path).read_text().split()
+    except OSError:
+        return []

@@ -1,0 +1,234 @@
+# SPDX-License-Identifier: MIT
+"""Instruments for ports: ``ports``, ``doctor``, ``calibrate``, ``perf``, the cable's limits. Real drivers are uart.py's."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import resource
+import threading
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from dpmaster import BusParameters, ConfigurationError, DPError, Master, PortError, cable, calibration, cli, doctor, perf
+from dpmaster.calibration import Calibration, calibrate
+from dpmaster.doctor import Level, examine
+from dpmaster.emulator import Segment
+from dpmaster.emulator.cards import SIP1
+from dpmaster.ports import Port, Rate, ports
+
+RATE = 500_000
+
+
+@pytest.fixture
+def wire() -> Iterator[Segment]:
+    with Segment(ports=2) as made:
+        yield made
+
+
+# ---- ports
+
+
+def test_a_path_is_a_port_or_an_error() -> None:
+    for path, words in (("/dev/no-such-port", "no such port"), ("/dev/null", "not a serial port"), (__file__, "not a serial")):
+        with pytest.raises(PortError, match=words):
+            Port.at(path)
+    far, near = pty.openpty()
+    assert Port.at(os.ttyname(near)).kind == "pty"
+    os.close(far)
+    os.close(near)
+
+
+def test_ports_are_listed_as_a_person_and_as_a_program_reads_them(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["ports"]) == 0
+    shown = capsys.readouterr().out
+    found = ports()
+    assert all(port.path in shown and port.kind in ("uart", "usb") for port in found)
+    assert found or shown == "no serial ports; 'dpmaster segment' makes virtual ones\n"
+    assert cli.main(["ports", "--json"]) == 0
+    assert [entry["path"] for entry in json.loads(capsys.readouterr().out)["ports"]] == [port.path for port in found]
+
+
+@pytest.fixture
+def adapter(tmp_path: Path) -> Port:
+    """A USB adapter as its directory under /sys describes it."""
+    (tmp_path / "device").mkdir()
+    return Port("/dev/ttyUSB0", "usb", "ftdi_sio", "FTDI FT232R (0403:6001)", ("/dev/serial/by-id/usb-FTDI",), tmp_path)
+
+
+def remarks(found: Iterator[doctor.Remark]) -> dict[str, doctor.Remark]:
+    return {remark.subject: remark for remark in found}
+
+
+def test_a_slow_latency_timer_is_bad_and_a_fast_one_good(adapter: Port) -> None:
+    """Protocol page N.3: "FTDI: 16 ms latency timer default; latency_timer = 1"."""
+    assert adapter.sys is not None
+    timer = adapter.sys / "device" / "latency_timer"
+    timer.write_text("16\n")
+    (slow,) = doctor._delivery(adapter)
+    assert slow.level is Level.BAD and "up to 16 ms" in slow.text and "echo 1" in slow.remedy and "udev" in slow.remedy
+    timer.write_text("1\n")
+    (fast,) = doctor._delivery(adapter)
+    assert (fast.level, fast.remedy) == (Level.GOOD, "")
+    timer.unlink()
+    (unknown,) = doctor._delivery(adapter)
+    assert unknown.level is Level.NOTE and "cannot be set" in unknown.text
+
+
+def test_rates_are_told_with_those_that_lack(adapter: Port) -> None:
+    rates = (Rate(9600, 9600), Rate(19200, 19231), Rate(RATE, None))
+    found = remarks(doctor._rates(adapter, rates, RATE))
+    assert found["rates"].text == "9.6k, 19.2k bit/s with even parity; not 500k bit/s"
+    assert found["rate"].level is Level.BAD and "500k bit/s is not among them" in found["rate"].text
+    assert remarks(doctor._rates(adapter, (Rate(9600, None),), None))["rates"].level is Level.BAD
+
+
+def test_limits_of_the_user_decide_about_priority(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
+    for allowed, level in ((0, Level.BAD), (39, Level.BAD), (40, Level.GOOD), (resource.RLIM_INFINITY, Level.GOOD)):
+        monkeypatch.setattr(resource, "getrlimit", lambda which, allowed=allowed: (allowed, allowed))
+        found = remarks(doctor._limits())
+        assert found["priority"].level is level
+        assert ("rtprio 60" in found["priority"].remedy) is (level is Level.BAD)
+
+
+def test_the_doctor_sends_nothing_and_names_what_it_hears(wire: Segment) -> None:
+    port = wire.port()
+    assert remarks(iter(examine(port, RATE, listen=0.05).remarks))["bus"].text == "silent for 0.05 s"
+    assert wire.info.transmissions == 0
+    with Master(wire.port(), RATE, address=3) as master:
+        master.stop()
+        found = examine(port, RATE, listen=0.2)
+    assert remarks(iter(found.remarks))["bus"].text == "telegrams are heard, master 3 has it; 0 line errors"
+    assert found.works
+
+
+def test_a_bus_without_telegrams_is_another_rate_or_exchanged_wires(wire: Segment) -> None:
+    port, other = wire.port(), os.open(wire.port(), os.O_RDWR | os.O_NOCTTY)
+    ended = threading.Event()
+
+    def noise() -> None:
+        while not ended.wait(0.005):
+            os.write(other, b"\x00\xf0\x3c")
+
+    talker = threading.Thread(target=noise)
+    talker.start()
+    try:
+        found = remarks(iter(examine(port, RATE, listen=0.3).remarks))["bus"]
+    finally:
+        ended.set()
+        talker.join()
+        os.close(other)
+    assert found.level is Level.BAD and "no telegram in them" in found.text and "A and B exchanged" in found.remedy
+
+
+def test_a_port_in_use_is_a_remark_with_its_remedy(wire: Segment, capsys: pytest.CaptureFixture[str]) -> None:
+    port = wire.port()
+    with Master(port):
+        assert cli.main(["doctor", port]) == 1
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "bad port another program" in shown and f"fuser -v {port}" in shown
+
+
+def test_doctor_as_json(wire: Segment, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["doctor", wire.port(), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["kind"] == "pty" and found["works"] and {"kernel", "priority"} <= {r["subject"] for r in found["remarks"]}
+    assert cli.main(["doctor", "/dev/no-such-port"]) == 1
+
+
+# ---- cable
+
+
+@pytest.mark.parametrize(("rate", "segment", "network", "stubs"), [
+    (9_600, 1200, 10_000, 500), (187_500, 1000, 10_000, 100), (500_000, 400, 4_000, 33), (1_500_000, 200, 2_000, 20),
+    (3_000_000, 100, 1_000, 0), (6_000_000, 100, 1_000, 0), (12_000_000, 100, 1_000, 0)])
+def test_lengths_and_stubs_are_those_of_the_manual(rate: int, segment: int, network: int, stubs: int) -> None:
+    """SI-P1 manual, tables C.4 and C.5; the segments are also SI-P3 manual, table 6."""
+    assert cable.limits(rate) == cable.Limits(segment, network, stubs)
+
+
+@pytest.mark.parametrize("rate", [19_200, 45_450, 500_000 / 11, 93_750])
+def test_rates_that_one_manual_leaves_out_are_in_the_other(rate: float) -> None:
+    """SI-P3 manual, table 6: 1200 m at 19.2, 45.45 and 93.75 kbit/s."""
+    assert cable.limits(rate).segment == 1200
+    assert cable.limits(rate).stubs == 100
+
+
+# ---- calibrate
+
+
+@pytest.fixture
+def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An empty slot costs 25 ms, not 250."""
+    monkeypatch.setattr(calibration, "PATIENCE", 1.0)
+
+
+def test_an_echo_is_measured(hasty: None, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    file = tmp_path / "found.json"
+    with Segment(echo=True) as wire:
+        port = wire.port()
+        assert cli.main(["calibrate", port, "--count", "20", "--output", str(file)]) == 0
+    assert "by echo, 20 times" in capsys.readouterr().out
+    found = Calibration.load(file)
+    assert (found.by, found.samples, found.rate) == ("echo", 20, None)
+    assert 0 <= found.mean <= found.p99 <= found.worst
+    assert 2 * found.worst <= found.allowance <= 2 * found.worst + 1.01e-4
+
+
+def test_a_slave_s_answers_are_measured_and_the_result_runs_a_master(wire: Segment) -> None:
+    wire.attach(SIP1(address=7))
+    found = calibrate(wire.port(), RATE, station=7, count=20)
+    assert (found.by, found.samples) == ("station 7", 20)
+    with Master(wire.port(), RATE, allowance=min(1.0, found.allowance)) as master:
+        master.stop()
+        assert master.statistics.port.allowance == pytest.approx(found.allowance)
+
+
+def test_what_no_ring_can_wait_for_is_said() -> None:
+    """Design page: "max Tsdr + 15 + allowance > Tsl does not enter"; Tsl ends at 16383 Tbit."""
+    found = Calibration("p", RATE, "echo", 1, 0.0, 0.0, 0.01, 0.02, None, "m")
+    assert found.tsl(500_000) == 100 + 15 + 10_000 == BusParameters.for_ring(500_000, allowance=0.02).tsl
+    assert found.tsl(1_500_000) is None
+    assert max(found.ring_rates) == 500_000
+
+
+def test_calibrate_does_not_disturb_another_master(wire: Segment) -> None:
+    with Master(wire.port(), RATE, address=3) as master:
+        master.stop()
+        with pytest.raises(DPError, match="master 3 has the bus"):
+            calibrate(wire.port(), RATE)
+
+
+def test_calibrate_on_an_empty_bus_says_what_it_needs(wire: Segment, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(calibration, "SEARCH", 0.04)  # 1 ms for each of 126 addresses
+    with pytest.raises(DPError, match="neither an echo nor a slave: connect one that is powered"):
+        calibrate(wire.port(), RATE)
+
+
+@pytest.mark.parametrize("content", ["", "[]", "{}", '{"port": 1, "more": 2}'])
+def test_a_file_that_is_no_calibration_is_refused(tmp_path: Path, content: str) -> None:
+    (tmp_path / "f").write_text(content)
+    with pytest.raises(ConfigurationError, match="give a file that 'dpmaster calibrate --output' wrote"):
+        Calibration.load(tmp_path / "f")
+
+
+# ---- perf
+
+
+def test_perf_counts_cycles_and_draws_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    picture = tmp_path / "p.svg"
+    assert cli.main(["perf", "--seconds", "0.3", "--cycle-time", "5", "--svg", str(picture), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["cycles"] + found["skipped"] >= 40 and found["cycles"] == sum(each["cycles"] for each in found["classes"])
+    assert ElementTree.parse(picture).getroot().tag.endswith("svg")
+
+
+def test_perf_s_shares() -> None:
+    classes = (perf.Class(2, 90), perf.Class(4, 9), perf.Class(None, 1))
+    found = perf.Punctuality("p", 0.002, 100, 0, 0.1, classes, perf.Scheduling(), "m")
+    assert (found.within(0.5), found.within(0.99), found.within(0.999)) == (2, 4, None)
