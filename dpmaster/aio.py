@@ -23,7 +23,7 @@ import functools
 import queue
 import threading
 from collections.abc import AsyncIterator, Callable, Coroutine
-from typing import Any, Concatenate, Generic, ParamSpec, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Concatenate, Generic, ParamSpec, TypeVar, overload
 
 from dpmaster._core import Errand, GivenUp, here
 from dpmaster.cycles import Cycle
@@ -103,10 +103,21 @@ async def call(function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R
 
 
 class Face(Generic[S]):
-    """What `Awaited` methods are declared in. ``of`` is the object itself."""
+    """The methods of an object, awaited. ``of`` is the object itself.
+
+    Those that wait are listed with `Awaited`, for editors and type checkers; any other method works as well.
+    """
 
     def __init__(self, of: S) -> None:
         self.of = of
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Callable[..., Coroutine[Any, Any, Any]]:
+            method = getattr(self.of, name)
+            if name.startswith("_") or not callable(method):
+                raise AttributeError(f"aio.{name}: {type(self.of).__name__}.{name} is no method; use it as it is, without aio")
+            return functools.partial(call, method)
 
 
 class Awaited(Generic[P, R]):

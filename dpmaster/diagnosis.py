@@ -9,7 +9,7 @@ ends the blocks, and what is left is kept as it came. What the standard leaves t
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from enum import IntFlag
@@ -21,7 +21,7 @@ from dpmaster.errors import ConfigurationError
 __all__ = [
     "AlarmBlock", "Block", "ChannelBlock", "DeviceBlock", "Diag", "Diagnosis", "DiagnosisArea",
     "DiagnosisHistory", "DiagnosisRecord", "DiagnosisTables", "DiagnosisTexts", "IdentifierBlock", "ModuleState", "Reason",
-    "RevisionBlock", "StationState", "StatusBlock", "decode_blocks", "why",
+    "RevisionBlock", "StationState", "StatusBlock", "bit_texts", "decode_blocks", "why",
 ]
 
 
@@ -120,9 +120,20 @@ class DiagnosisTexts(Protocol):
         """Name of the module with this identifier number of the configuration, 0 the first; None: it has none."""
 
 
+class Area(Protocol):
+    """Bits `first` to `last` of a device-related block are a number, some of whose values have a text."""
+
+    @property
+    def first(self) -> int: ...
+    @property
+    def last(self) -> int: ...
+    @property
+    def values(self) -> Mapping[int, str]: ...
+
+
 @dataclass(frozen=True, slots=True)
 class DiagnosisArea:
-    """Unit_Diag_Area of a GSD file: the number in bits `first` to `last`, with a text for some of its values."""
+    """An `Area`, as Unit_Diag_Area of a GSD file gives it."""
 
     first: int
     last: int
@@ -151,15 +162,7 @@ class DiagnosisTables:
     modules: Sequence[str] = ()
 
     def device(self, block: DeviceBlock) -> tuple[str, ...]:
-        data = block.octets[1:]
-        number, size = int.from_bytes(data, "little"), 8 * len(data)
-        found = [(bit, text) for bit, text in self.bits.items() if bit < size and number >> bit & 1]
-        found += [(bit, text) for bit, text in self.clear_bits.items() if bit < size and not number >> bit & 1]
-        for area in self.areas:
-            value = number >> area.first & (1 << area.last - area.first + 1) - 1
-            if area.last < size and value in area.values:
-                found.append((area.first, area.values[value]))
-        texts = tuple(text for _, text in sorted(found))
+        texts = bit_texts(block.octets[1:], self.bits, self.clear_bits, self.areas)
         if isinstance(block, AlarmBlock | StatusBlock) and block.type in self.types:
             texts += self.types[block.type].device(block)
         return texts
@@ -169,6 +172,18 @@ class DiagnosisTables:
 
     def module(self, identifier: int) -> str | None:
         return self.modules[identifier] if identifier < len(self.modules) else None
+
+
+def bit_texts(data: bytes, bits: Mapping[int, str], clear_bits: Mapping[int, str], areas: Iterable[Area]) -> tuple[str, ...]:
+    """Texts for `data`, what follows a block's header, in the order of its bits. What lies beyond its end says nothing."""
+    number, size = int.from_bytes(data, "little"), 8 * len(data)
+    found = [(bit, text) for bit, text in bits.items() if bit < size and number >> bit & 1]
+    found += [(bit, text) for bit, text in clear_bits.items() if bit < size and not number >> bit & 1]
+    for area in areas:
+        value = number >> area.first & (1 << area.last - area.first + 1) - 1
+        if area.last < size and value in area.values:
+            found.append((area.first, area.values[value]))
+    return tuple(text for _, text in sorted(found))
 
 
 _NO_TEXTS = DiagnosisTables()

@@ -5,6 +5,7 @@ loop that hangs lets the output watchdog run out."""
 from __future__ import annotations
 
 import asyncio
+import inspect
 import logging
 import threading
 import time
@@ -29,7 +30,7 @@ from dpmaster import (
     StationError,
 )
 from dpmaster._core import SLICE
-from dpmaster.aio import call
+from dpmaster.aio import AsyncMaster, AsyncStation, call
 from dpmaster.bus import Feed
 from dpmaster.drives import YaskawaV7
 from dpmaster.emulator import Segment
@@ -141,6 +142,28 @@ def test_a_method_of_a_face_is_that_of_its_object(station: Station) -> None:
     asyncio.run(program())
     assert station.aio.wait.func.__name__ == "call"  # type: ignore[attr-defined]
     assert type(station.aio).wait.__doc__ == Station.wait.__doc__
+
+
+def test_methods_that_are_not_listed_work_too(master: Master, station: Station) -> None:
+    async def program() -> None:
+        await master.aio.operate()
+        number = await station.aio.update(0, b"\x05")  # type: ignore[attr-defined]
+        await station.aio.wait_sent(number)
+        with pytest.raises(AttributeError, match=r"aio\.state.*without aio"):
+            _ = station.aio.state  # type: ignore[attr-defined]
+        with pytest.raises(AttributeError, match="no_such"):
+            _ = station.aio.no_such  # type: ignore[attr-defined]
+
+    asyncio.run(program())
+
+
+@pytest.mark.parametrize(("of", "face"), [(Master, AsyncMaster), (Station, AsyncStation)])
+def test_every_method_that_waits_is_listed(of: type, face: type) -> None:
+    """So that an editor knows it: one line in aio.py, ``name = Awaited(Class.name)``."""
+    waiting = {name for name, method in vars(of).items() if not name.startswith("_") and callable(method)
+               and "timeout" in inspect.signature(method).parameters}
+    assert len(waiting) > 5
+    assert waiting - set(dir(face)) == set()
 
 
 # ---- cancelling and closing

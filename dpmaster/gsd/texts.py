@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-from dpmaster.diagnosis import ChannelBlock, DeviceBlock
+from dpmaster.diagnosis import ChannelBlock, DeviceBlock, bit_texts
 from dpmaster.gsd.model import Device, Module, _Bits
 
 
@@ -44,7 +44,7 @@ class Texts:
         typed = [owner.types[data[0]] for owner in (module, self._device)
                  if owner is not None and self._device.dpv1 and data[:1] and data[0] in owner.types]
         table: _Bits = typed[0] if typed else module if module is not None and says(module) else self._device
-        return clauses(table, data)
+        return bit_texts(data, table.bits, table.not_bits, table.areas)
 
     def channel_error(self, block: ChannelBlock) -> str | None:
         at = block.identifier
@@ -57,15 +57,3 @@ class Texts:
 
 def says(table: _Bits) -> bool:
     return bool(table.bits or table.not_bits or table.areas)
-
-
-def clauses(table: _Bits, data: bytes) -> Sequence[str]:
-    """The texts of `data`, what follows a block's header, in the order of its bits."""
-    number, size = int.from_bytes(data, "little"), 8 * len(data)
-    found = [(bit, text) for bit, text in table.bits.items() if bit < size and number >> bit & 1]
-    found += [(bit, text) for bit, text in table.not_bits.items() if bit < size and not number >> bit & 1]
-    for area in table.areas:
-        value = number >> area.first & (1 << area.last - area.first + 1) - 1
-        if area.last < size and value in area.values:
-            found.append((area.first, area.values[value]))
-    return tuple(text for _, text in sorted(found))
