@@ -182,6 +182,8 @@ def test_a_cancelled_await_leaves_no_thread_and_no_request(master: Master, stati
     async def program() -> None:
         await master.aio.operate(timeout=0.5, partial=True)
         await master.aio.clear()
+        while workers():  # those of the calls before
+            await asyncio.sleep(0)
         task = asyncio.create_task(ask(master, station))
         while not workers():
             await asyncio.sleep(0)
@@ -192,6 +194,31 @@ def test_a_cancelled_await_leaves_no_thread_and_no_request(master: Master, stati
             await task
         assert time.monotonic() - began < 10 * SLICE
         assert (await master.aio.request(5, "FDL_STATUS")).ok  # what was asked is taken back: the place is free
+
+    asyncio.run(program())
+
+
+def test_a_cancelled_await_ends_behind_its_call(master: Master, station: Station) -> None:
+    steps: list[str] = []
+
+    def waiting() -> None:
+        steps.append("begun")
+        try:
+            station.wait(never, None)
+        finally:
+            steps.append("taken back")
+
+    async def program() -> None:
+        await master.aio.operate()
+        task = asyncio.create_task(call(waiting))
+        while not steps:
+            await asyncio.sleep(0)
+        task.cancel()
+        await asyncio.sleep(0)
+        task.cancel()  # as impatient as it may be
+        with pytest.raises(asyncio.CancelledError):
+            await task
+        assert steps == ["begun", "taken back"]
 
     asyncio.run(program())
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from recordings import PC, S7, recorded
 
 from dpmaster import _core
 from dpmaster.diagnosis import (
@@ -183,6 +184,17 @@ def test_modules_and_channels_by_the_makers_names() -> None:
     assert texts == ("diagnosis in module 1 (8 DI), module 2, module 3",
                      "module 1 (8 DI), input channel 1 (bit): parameter error",
                      "module 2, input and output channel 5 (byte): short circuit")
+
+
+def test_every_recorded_diagnosis_is_read_whole() -> None:
+    """Among those of the PC master: DH, and then an extended diagnosis of three octets, whose data are the slave's own."""
+    found = {line.octets[9:-2] for name in (S7, PC) for line in recorded(name)
+             if line.slave and line.octets[0] == 0x68 and line.octets[7:9] == b"\x3e\x3c"}
+    assert len(found) == 4
+    assert {text for octets in found for text in Diagnosis(octets).explain()} == {
+        "is not ready for Data_Exchange yet", "must be parameterised and configured anew", "has its watchdog on",
+        "reports a fault in its extended diagnosis", "device diagnosis: 82 3D"}
+    assert {Diagnosis(octets).ident_number for octets in found} == {0x0B0D}
 
 
 class Altivar:
