@@ -146,6 +146,12 @@ class AsyncStation(Face[Station]):
     set_prm = Awaited(Station.set_prm)
     chk_cfg = Awaited(Station.chk_cfg)
     data_exchange = Awaited(Station.data_exchange)
+    get_cfg = Awaited(Station.get_cfg)
+    rd_inp = Awaited(Station.rd_inp)
+    rd_outp = Awaited(Station.rd_outp)
+    activate = Awaited(Station.activate)
+    deactivate = Awaited(Station.deactivate)
+    reparameterise = Awaited(Station.reparameterise)
 
 
 class AsyncMaster(Face[Master]):
@@ -158,6 +164,13 @@ class AsyncMaster(Face[Master]):
     wait_cycle = Awaited(Master.wait_cycle)
     request = Awaited(Master.request)
     live_list = Awaited(Master.live_list)
+    global_control = Awaited(Master.global_control)
+    set_slave_add = Awaited(Master.set_slave_add)
+    remove = Awaited(Master.remove)
+    slave_diag = Awaited(Master.slave_diag)
+    get_cfg = Awaited(Master.get_cfg)
+    rd_inp = Awaited(Master.rd_inp)
+    rd_outp = Awaited(Master.rd_outp)
     close = Awaited(Master.close)
 
     async def cycles(self, timeout: float | None = 1.0) -> AsyncIterator[Cycle]:
