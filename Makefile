@@ -107,6 +107,7 @@ soak: $(VENV)/.built $(VENV)/.test
 	DPM_SOAK_RUNS=10000 DPM_SOAK_CYCLES=10000 $(PY) -m pytest --capture=no tests/test_ring_soak.py $(ARGS)
 	DPM_RING_SECONDS=60 $(PY) -m pytest --timeout=600 tests/test_ring_pty.py
 	DPM_DP_CYCLES=10000000 DPM_PTY_CYCLES=1000000 $(PY) -m pytest --capture=no tests/test_dp_soak.py $(ARGS)
+	DPM_REQUESTS=2000 $(PY) -m pytest --timeout=1800 tests/test_sip3_model.py
 
 bench: $(VENV)/.built $(VENV)/.bench
 	$(PY) tests/bench/bench.py $(ARGS)

@@ -4,6 +4,8 @@ the profile's tables: what the manual and the devices page say, written down a s
 
 from __future__ import annotations
 
+import os
+
 import hypothesis.strategies as st
 from hypothesis import settings
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
@@ -257,4 +259,4 @@ class Requests(RuleBasedStateMachine):
 
 
 TestRequests = Requests.TestCase
-TestRequests.settings = settings(max_examples=60, stateful_step_count=25, deadline=None)
+TestRequests.settings = settings(max_examples=int(os.environ.get("DPM_REQUESTS", "60")), stateful_step_count=25, deadline=None)
