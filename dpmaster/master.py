@@ -426,6 +426,9 @@ class Master(Services):
             self._bus.set_mode(Mode.OPERATE)
             self._bus.fed_thread = _core.caller()
         self._await_mode(Mode.OPERATE, LEAVE_TIME)
+        for station in self.stations:
+            if station.state == StationState.DATA:
+                station._operating()
 
     def clear(self, timeout: float = LEAVE_TIME) -> None:
         """Clear: stations exchange, with safe outputs. Out of Operate every drive says its stop word first."""

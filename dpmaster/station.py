@@ -279,6 +279,9 @@ class Station:
         """Hook: what a person should know before this station is operated, logged as warnings."""
         return []
 
+    def _operating(self) -> None:
+        """Hook: the master has reached Operate. A drive asks, bounded, for what a person should know of it, and logs that."""
+
     def _rest(self) -> None:
         """Hook: the master is about to leave Operate. A drive commits its stop word and waits, bounded, until it was answered.
 

@@ -8,7 +8,7 @@ import threading
 
 import pytest
 from appendix_b import B2_READ, B3_READ_ERROR, B4_WRITE, B5_WRITE_ERROR
-from v7_bench import VirtualV7, rows
+from drive_bench import VirtualV7, rows
 
 from dpmaster.drives import YaskawaV7
 from dpmaster.emulator.card import SlaveState

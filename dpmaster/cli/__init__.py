@@ -23,7 +23,7 @@ from dpmaster.errors import ConfigurationError, DPError
 
 # Every command, in the order of the help.
 COMMANDS: tuple[str, ...] = (
-    "demo", "run", "segment", "emulate", "scan", "diag", "cfg", "read_inputs", "read_outputs", "set_address", "control",
+    "demo", "run", "segment", "emulate", "scan", "drive", "diag", "cfg", "read_inputs", "read_outputs", "set_address", "control",
     "ports", "doctor", "calibrate", "perf", "decode", "gsd", "timing",
 )
 

@@ -15,16 +15,15 @@ from dataclasses import asdict, replace
 from typing import Any
 
 from dpmaster.busfile import BusFile
-from dpmaster.drives import YaskawaV7
+from dpmaster.drives import PROFILES as DRIVES
 from dpmaster.errors import ConfigurationError
-from dpmaster.station import Station, watchdog_factors
+from dpmaster.station import watchdog_factors
 from dpmaster.timing import PROFILES, REPEATER_DELAY, TOOL_WATCHDOG, WATCHDOG_MAX, Finding, Part, Slave, Timing, plan
 
 NAME = "timing"
 HELP = "compute bus parameters, cycle time and watchdogs, and say what will not work"
 
 WIDTH = 79
-DRIVES: dict[str, Callable[..., Station]] = {"v7": YaskawaV7}
 STATION = """\
 A STATION is ADDRESS:OUT/IN or FIRST-LAST:OUT/IN, with the octets of outputs and
 inputs as the master sees them, or ADDRESS:v7[:CONFIGURATION]. What differs from

@@ -8,9 +8,10 @@ from typing import Generic, Literal, TypeVar, overload
 
 from dpmaster.aio import AsyncStation, Awaited, call
 from dpmaster.drives.drive import Drive, DriveStatus
+from dpmaster.drives.yaskawa_sip3 import SIP3Status, YaskawaSIP3
 from dpmaster.drives.yaskawa_v7 import V7Status, YaskawaV7
 
-__all__ = ["AsyncDrive", "AsyncYaskawaV7"]
+__all__ = ["AsyncDrive", "AsyncYaskawaSIP3", "AsyncYaskawaV7"]
 
 S = TypeVar("S", bound=DriveStatus)
 
@@ -27,6 +28,7 @@ class AsyncDrive(AsyncStation, Generic[S]):
     run_reverse = Awaited(Drive.run_reverse)
     fault_reset = Awaited(Drive.fault_reset)
     faults = Awaited(Drive.faults)
+    write = Awaited(Drive.write)
 
     async def wait_until(self, predicate: Callable[[S], bool], timeout: float) -> S:
         """`Drive.wait_until`."""
@@ -59,3 +61,23 @@ class AsyncYaskawaV7(AsyncDrive[V7Status]):
     async def read_parameter(self, name: int | str, count: int = 1, *, timeout: float = 1.0) -> int | tuple[int, ...]:
         """`YaskawaV7.read_parameter`."""
         return await call(self._v7.read_parameter, name, count, timeout=timeout)
+
+
+class AsyncYaskawaSIP3(AsyncDrive[SIP3Status]):
+    """`YaskawaSIP3.aio`."""
+
+    jog = Awaited(YaskawaSIP3.jog)
+    fault_history = Awaited(YaskawaSIP3.fault_history)
+    read = Awaited(YaskawaSIP3.read)
+    write = Awaited(YaskawaSIP3.write)
+    enter = Awaited(YaskawaSIP3.enter)
+    read_pnu = Awaited(YaskawaSIP3.read_pnu)
+    write_pnu = Awaited(YaskawaSIP3.write_pnu)
+    elements = Awaited(YaskawaSIP3.elements)
+    read_array = Awaited(YaskawaSIP3.read_array)
+    read_register = Awaited(YaskawaSIP3.read_register)
+    read_registers = Awaited(YaskawaSIP3.read_registers)
+    write_register = Awaited(YaskawaSIP3.write_register)
+    loop_back = Awaited(YaskawaSIP3.loop_back)
+    assign_outputs = Awaited(YaskawaSIP3.assign_outputs)
+    assign_inputs = Awaited(YaskawaSIP3.assign_inputs)

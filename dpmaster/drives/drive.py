@@ -12,11 +12,13 @@ import logging
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, MutableMapping
-from dataclasses import fields
-from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
+from dataclasses import dataclass, fields
+from enum import IntFlag
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
 
 from dpmaster._arguments import number
-from dpmaster.errors import ConfigurationError, DPTimeout, OutputsDiscarded, StationError
+from dpmaster.diagnosis import DiagnosisTables, DiagnosisTexts
+from dpmaster.errors import CommissioningError, ConfigurationError, DPTimeout, OutputsDiscarded, StationError
 from dpmaster.profiles.yaskawa import WordOrder, get_word
 from dpmaster.station import Frame, Station
 
@@ -29,6 +31,8 @@ SETTLE = 0.020
 """Seconds that a drive may take to look at a new command: what its status says until then may be about the one before."""
 REST = 0.5
 """Seconds in which the stop word must have been answered when the master leaves Operate."""
+HEAR = 0.5
+"""Seconds in which a drive that listens shows that it runs."""
 RESET = 1.0
 """Seconds that a fault whose cause is gone may take to go."""
 
@@ -84,11 +88,31 @@ class DriveStatus(Protocol):
 S = TypeVar("S", bound=DriveStatus)
 
 
+@dataclass(frozen=True, slots=True)
+class ParameterInfo:
+    """What a drive class knows of a parameter; limits in `unit`, None where it knows none."""
+
+    name: str
+    text: str = ""
+    unit: str = ""
+    minimum: float | None = None
+    maximum: float | None = None
+    decimals: int = 0
+
+    def describe(self, value: float) -> str:
+        """A value with all that is known: "10.0 s  acceleration time from 0 to E1-04 (0.0 to 6000.0)"."""
+        def shown(amount: float) -> str:
+            return f"{amount:.{self.decimals}f}"
+
+        limits = "" if self.minimum is None or self.maximum is None else f"({shown(self.minimum)} to {shown(self.maximum)})"
+        return f"{f'{shown(value)} {self.unit}':<12}{self.text} {limits}".rstrip()
+
+
 def flags_and_values(status: Any) -> str:
     """A status dataclass in one line: the flags that are set, then the values there are."""
     on = [f.name for f in fields(status) if getattr(status, f.name) is True]
     values = [f"{f.name}={value:g}" for f in fields(status)
-              if isinstance(value := getattr(status, f.name), (int, float)) and not isinstance(value, bool)]
+              if isinstance(value := getattr(status, f.name), (int, float)) and not isinstance(value, (bool, IntFlag))]
     return ", ".join(on + values) or "no flag set"
 
 
@@ -97,7 +121,8 @@ class Drive(Station, ABC, Generic[S]):
 
     Set-points are positive, Hz or per cent of the drive's highest frequency; `reverse` turns the other way. Commands return
     when they are committed; whoever waits for the status waits first until the last command has reached the drive. Any
-    thread may call. `configuration` is what Chk_Cfg sends; `words` are the octets at which the output words lie, by name.
+    thread may call. `configuration` is what Chk_Cfg sends, `layout` its name; `words` are the octets at which the output
+    words lie, by name.
     """
 
     def __init__(self, address: int, ident_number: int, configuration: bytes, words: Mapping[str, int], *,
@@ -107,11 +132,14 @@ class Drive(Station, ABC, Generic[S]):
             raise ConfigurationError(f"word_order {word_order!r}: give 'big' or 'little'")
         self._word_order: WordOrder = word_order
         self._words = words
-        self._layout_name = layout
+        self.layout = layout
         self._commands = threading.RLock()
         self._reverse = False
         self._pending: int | None = None
         self._settled = 0.0
+
+    diagnosis_texts: ClassVar[DiagnosisTexts] = DiagnosisTables()
+    """What the maker says about the extended diagnosis."""
 
     # -- What a drive class says ----------------------------------------------------------------------------------------
 
@@ -131,9 +159,10 @@ class Drive(Station, ABC, Generic[S]):
     def _to_hz(self, count: int) -> float:
         """The way back. May ask the drive."""
 
+    @property
     @abstractmethod
-    def _highest(self) -> float:
-        """The drive's highest frequency, Hz: 100 %. ConfigurationError where it cannot be known."""
+    def highest_frequency(self) -> float:
+        """The drive's highest frequency, Hz: 100 %. May ask the drive. ConfigurationError where it cannot be known."""
 
     @abstractmethod
     def _reference(self) -> int:
@@ -162,6 +191,22 @@ class Drive(Station, ABC, Generic[S]):
     @abstractmethod
     def __setitem__(self, name: str, value: float) -> None:
         """Write a parameter. ParameterAccessError carries the drive's code and its meaning."""
+
+    def write(self, values: Mapping[str, float], *, store: bool = False) -> None:
+        """Write several parameters; with `store` so that they outlive the power, where the bus can ask for that."""
+        if store:
+            raise ConfigurationError(f"{self.name}: its card has no command to store parameters; write them without store")
+        for name, value in values.items():
+            self[name] = value
+
+    @abstractmethod
+    def parameter(self, name: str) -> ParameterInfo:
+        """What is known of a parameter. ConfigurationError when there can be none of that name."""
+
+    @property
+    @abstractmethod
+    def parameter_names(self) -> tuple[str, ...]:
+        """The parameters that the class has a table for; the drive has more."""
 
     # -- Moving ---------------------------------------------------------------------------------------------------------
 
@@ -236,10 +281,10 @@ class Drive(Station, ABC, Generic[S]):
         return given
 
     def _from_percent(self, percent: float) -> int:
-        return self._from_hz(percent * self._highest() / 100)
+        return self._from_hz(percent * self.highest_frequency / 100)
 
     def _to_percent(self, count: int) -> float:
-        return round(self._to_hz(count) * 100 / self._highest(), 6)
+        return round(self._to_hz(count) * 100 / self.highest_frequency, 6)
 
     # -- Status ---------------------------------------------------------------------------------------------------------
 
@@ -303,6 +348,11 @@ class Drive(Station, ABC, Generic[S]):
         """
         return ("fault",) if self.status.fault else ()
 
+    def explain_diagnosis(self) -> str:
+        """The last diagnosis fetched, in words, the maker's too; "" when it has nothing to report."""
+        diagnosis = self.diagnosis
+        return "" if diagnosis is None else "; ".join(diagnosis.explain(self.diagnosis_texts))
+
     def fault_reset(self) -> None:
         """Reset a fault whose cause is gone. StationError if it stays for a second.
 
@@ -323,13 +373,27 @@ class Drive(Station, ABC, Generic[S]):
             self._pending = number = self._commit_reset(on)
         self.wait_sent(number, 1.0)
 
+    def _see_running(self, needed: Mapping[str, int], heard: Callable[[S], bool]) -> None:
+        """The stand-in for reading parameters where nothing can: a drive that listens shows it within half a second."""
+        try:
+            self.wait_until(heard, HEAR)
+        except DPTimeout as late:
+            self.stop()
+            if self.status.fault:
+                raise StationError(f"{self.name}: does not run, it shows a fault ({self.status}); fault_reset() first",
+                                   address=self.address, reason="fault") from late
+            wanted = " and ".join(f"{name} = {value}" for name, value in needed.items())
+            raise CommissioningError(
+                f"{self.name}: shows no running. It needs {wanted}, which {self.layout} has no channel to read; "
+                f"check them at the keypad (status: {self.status})", parameters=tuple(needed)) from late
+
     # -- Output words ---------------------------------------------------------------------------------------------------
 
     def _offset(self, name: str) -> int:
         try:
             return self._words[name]
         except KeyError:
-            raise ConfigurationError(f"{name}: {self._layout_name} has no such word") from None
+            raise ConfigurationError(f"{name}: {self.layout} has no such word") from None
 
     def _output_word(self, name: str) -> int:
         """A word as the next commit builds on it: after a loss or Clear that is 0, whatever was commanded before."""

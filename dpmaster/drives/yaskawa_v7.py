@@ -12,13 +12,12 @@ from typing import TYPE_CHECKING, Literal, overload
 
 from dpmaster._arguments import number
 from dpmaster.drives.channel import ParameterChannel
-from dpmaster.drives.drive import Drive, Terminals, flags_and_values
+from dpmaster.drives.drive import Drive, ParameterInfo, Terminals, flags_and_values
 from dpmaster.errors import (
     CommissioningError,
     ConfigurationError,
     DPTimeout,
     ParameterAccessError,
-    StationError,
 )
 from dpmaster.profiles.yaskawa import (
     CONTROL,
@@ -26,6 +25,7 @@ from dpmaster.profiles.yaskawa import (
     HIGHEST_FREQUENCY,
     INPUT_TERMINALS,
     OUTPUT_TERMINALS,
+    PARAMETERS,
     TORQUE_UNIT,
     WD_MODULUS,
     WD_PERIOD,
@@ -38,6 +38,7 @@ from dpmaster.profiles.yaskawa import (
     check_address,
     get_word,
     register,
+    register_name,
 )
 from dpmaster.profiles.yaskawa import configuration as find_configuration
 from dpmaster.station import Frame
@@ -161,7 +162,8 @@ class YaskawaV7(Drive[V7Status]):
         """
         super().run(hz, percent=percent, reverse=reverse)
         if self._channel is None and self._facts is None and self._reference():
-            self._see_running()
+            self._see_running(CONTROL, lambda status: status.running)
+            self._facts = {}
 
     def _commit_run(self, count: int) -> int:
         direction = Command.REVERSE if self._reverse else Command.FORWARD
@@ -190,26 +192,12 @@ class YaskawaV7(Drive[V7Status]):
     def _to_hz(self, count: int) -> float:
         return self._unit().to_hz(count)
 
-    def _highest(self) -> float:
+    @property
+    def highest_frequency(self) -> float:
         if self._channel is None:
-            raise ConfigurationError(f"percent: {self._layout.name} has no parameter channel to read n011, which is 100 %; "
+            raise ConfigurationError(f"per cent: {self._layout.name} has no parameter channel to read n011, which is 100 %; "
                                      "give Hz")
         return self._know()["n011"] / 10
-
-    def _see_running(self) -> None:
-        """Basic data's stand-in for reading n003 and n004: a drive that listens shows it within half a second."""
-        try:
-            self.wait_until(lambda status: status.running, timeout=0.5)
-        except DPTimeout as late:
-            self.stop()
-            if self.status.major_fault:
-                raise StationError(f"{self.name}: does not run, it shows a fault ({self.status}); fault_reset() first",
-                                   address=self.address, reason="fault") from late
-            needed = " and ".join(f"{name} = {value}" for name, value in CONTROL.items())
-            raise CommissioningError(
-                f"{self.name}: shows no running. It needs {needed}, which Basic data has no channel to read; "
-                f"check them at the keypad (status: {self.status})", parameters=tuple(CONTROL)) from late
-        self._facts = {}
 
     # -- What the drive's parameters say of control and units --------------------------------------------------------
 
@@ -333,6 +321,16 @@ class YaskawaV7(Drive[V7Status]):
     def __setitem__(self, name: str, value: float) -> None:
         """Write a parameter, in the drive's own counts: a whole number."""
         self.write_parameter(name, value)  # type: ignore[arg-type]
+
+    def parameter(self, name: str) -> ParameterInfo:
+        known = PARAMETERS.get(register(name))
+        if known is None:
+            return ParameterInfo(register_name(register(name)))
+        return ParameterInfo(register_name(register(name)), known.text, "", known.minimum, known.maximum)
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        return tuple(map(register_name, PARAMETERS))
 
     @overload
     def read_parameter(self, name: int | str, count: Literal[1] = 1, *, timeout: float = 1.0) -> int: ...

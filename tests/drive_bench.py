@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A YaskawaV7 coupled to an emulated SI-P1 on virtual time: no bus, no thread, an hour passes in no time.
+"""A drive coupled to an emulated card on virtual time: no bus, no thread, an hour passes in no time.
 
 Each cycle the master's telegram carries the newest commit, and the answer the inputs that the card had before it saw
 that telegram, as with a real slave. `trace` keeps (outputs, inputs) of every cycle.
@@ -10,8 +10,9 @@ from __future__ import annotations
 import collections
 import itertools
 from collections.abc import Callable
+from typing import Any
 
-from dpmaster.drives import YaskawaV7
+from dpmaster.drives import Drive, YaskawaV7
 from dpmaster.emulator.card import Exchange, SlaveState
 from dpmaster.emulator.cards import SIP1
 from dpmaster.errors import DPTimeout, OutputsDiscarded
@@ -19,27 +20,28 @@ from dpmaster.profiles.yaskawa import HANDSHAKE_MASK, STATUS_MASK, Transfer
 from dpmaster.station import Frame
 
 
-class VirtualV7(YaskawaV7):
-    """The drive class over a transport of its own: what Station and Master do, in a dozen lines."""
+class Virtual(Drive[Any]):
+    """A drive class over a transport of its own: what Station and Master do, in a dozen lines. Mixed in before the class."""
 
-    def __init__(self, card: SIP1, configuration: str = "Extended Data 1", *, cycle: float = 0.001,
-                 lag: int = 0, **arguments: object) -> None:
-        super().__init__(card.address, configuration, **arguments)  # type: ignore[arg-type]
+    card: Any
+
+    def couple(self, card: Any, *, cycle: float = 0.001, lag: int = 0) -> None:
+        """Into Data_Exchange with the card, whose CPU has come up."""
         self.card = card
         self.cycle = cycle
         self._seen = collections.deque([Exchange()] * (lag + 1))  # the card's firmware looks `lag` cycles late
         self.now = 0.0
         self.state_of_slave = SlaveState.DATA_EXCH
         self.answering = True
-        self._size = self._layout.size
-        self._index = SIP1.configurations.index(self._layout.identifier)
+        self._size = self.output_length
+        self._index = card.configurations.index(self.configuration)
         self._image = bytes(self._size)
         self._number = self._sent = 0
         self._discarded = range(0)
         self._frame = Frame(bytes(self._size), 0, 0, 0.0, False)
         self.trace: list[tuple[bytes, bytes]] = []
         card.step(0.0, Exchange())
-        self.let_pass(0.2)  # the card's CPU comes up
+        self.let_pass(0.2)
 
     def exchange(self) -> None:
         """One bus cycle."""
@@ -91,13 +93,13 @@ class VirtualV7(YaskawaV7):
         return self._number
 
     def wait_sent(self, number: int, timeout: float | None = 1.0) -> None:
-        if number in self._discarded:
-            raise OutputsDiscarded("discarded", number=number)
         until = self.now + (timeout or 0.0)
-        while self._sent < number:
+        while number not in self._discarded and self._sent < number:
             if self.now >= until:
                 raise DPTimeout("not sent")
             self.exchange()
+        if number in self._discarded:
+            raise OutputsDiscarded("discarded", number=number)
 
     def wait(self, predicate: Callable[[Frame], bool], timeout: float | None) -> Frame:
         until = self.now + (timeout or 0.0)
@@ -106,6 +108,15 @@ class VirtualV7(YaskawaV7):
                 raise DPTimeout("did not come")
             self.exchange()
         return self._frame
+
+
+class VirtualV7(Virtual, YaskawaV7):  # type: ignore[misc]
+    """A YaskawaV7 and its card."""
+
+    def __init__(self, card: SIP1, configuration: str = "Extended Data 1", *, cycle: float = 0.001,
+                 lag: int = 0, **arguments: object) -> None:
+        super().__init__(card.address, configuration, **arguments)  # type: ignore[arg-type]
+        self.couple(card, cycle=cycle, lag=lag)
 
 
 def rows(drive: VirtualV7) -> list[tuple[str, str]]:
