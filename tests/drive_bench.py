@@ -12,9 +12,9 @@ import itertools
 from collections.abc import Callable
 from typing import Any
 
-from dpmaster.drives import Drive, YaskawaV7
+from dpmaster.drives import Drive, YaskawaSIP3, YaskawaV7
 from dpmaster.emulator.card import Exchange, SlaveState
-from dpmaster.emulator.cards import SIP1
+from dpmaster.emulator.cards import SIP1, SIP3
 from dpmaster.errors import DPTimeout, OutputsDiscarded
 from dpmaster.profiles.yaskawa import HANDSHAKE_MASK, STATUS_MASK, Transfer
 from dpmaster.station import Frame
@@ -115,6 +115,15 @@ class VirtualV7(Virtual, YaskawaV7):  # type: ignore[misc]
 
     def __init__(self, card: SIP1, configuration: str = "Extended Data 1", *, cycle: float = 0.001,
                  lag: int = 0, **arguments: object) -> None:
+        super().__init__(card.address, configuration, **arguments)  # type: ignore[arg-type]
+        self.couple(card, cycle=cycle, lag=lag)
+
+
+class VirtualSIP3(Virtual, YaskawaSIP3):  # type: ignore[misc]
+    """A YaskawaSIP3 and its card."""
+
+    def __init__(self, card: SIP3, configuration: str = "PPO Type 2", *, cycle: float = 0.001, lag: int = 0,
+                 **arguments: object) -> None:
         super().__init__(card.address, configuration, **arguments)  # type: ignore[arg-type]
         self.couple(card, cycle=cycle, lag=lag)
 

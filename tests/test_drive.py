@@ -9,11 +9,11 @@ import threading
 from typing import Any
 
 import pytest
-from drive_bench import VirtualV7
+from drive_bench import VirtualSIP3, VirtualV7
 
 from dpmaster.drives import Drive, DriveStatus, YaskawaSIP3, YaskawaV7
 from dpmaster.drives.channel import Channel
-from dpmaster.emulator.cards import SIP1
+from dpmaster.emulator.cards import SIP1, SIP3
 from dpmaster.errors import ConfigurationError, StationError
 from dpmaster.profiles import yaskawa_1000 as profile
 from dpmaster.profiles.yaskawa import Command
@@ -21,12 +21,20 @@ from dpmaster.profiles.yaskawa import Command
 FACES: dict[str, type[Drive[Any]]] = {"v7": YaskawaV7, "si-p3": YaskawaSIP3}
 
 
+def sip3(configuration: str = "PPO Type 2", **arguments: Any) -> VirtualSIP3:
+    if configuration in ("PPO Type 3", "PPO Type 4"):
+        arguments["maximum_frequency"] = 60.0
+    return VirtualSIP3(SIP3(5), configuration, cycle=0.004, **arguments)
+
+
 def v7(configuration: str = "Extended Data 1", **arguments: Any) -> VirtualV7:
     return VirtualV7(SIP1(5), configuration, cycle=0.004, **arguments)
 
 
 CONVENTIONAL = ("Extended Data 1", "Extended Data 2", "Basic data")
-BENCHES = {f"v7, {name}": functools.partial(v7, name) for name in CONVENTIONAL}
+PPOS = tuple(f"PPO Type {n}" for n in range(1, 6))
+BENCHES = {f"v7, {name}": functools.partial(v7, name) for name in CONVENTIONAL} | {
+    f"si-p3, {name}": functools.partial(sip3, name) for name in (*CONVENTIONAL, *PPOS)}
 
 
 @pytest.fixture(params=BENCHES)

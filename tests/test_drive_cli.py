@@ -22,6 +22,7 @@ from test_safety import Witness
 
 from dpmaster.cli import main
 from dpmaster.emulator import Card, Segment, SlaveState
+from dpmaster.emulator.cards import SIP3
 
 PATIENCE = 30.0
 
@@ -169,3 +170,58 @@ def test_a_fault_while_it_runs_ends_it(v7: Bench) -> None:
         _, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 1
     assert re.fullmatch(rb"dpmaster drive: drive 5 stopped by a fault: fault \(status: .*\)\n", err)
+
+
+
+
+# ---- another drive, the same face
+
+
+@pytest.fixture
+def sip3() -> Iterator[Bench]:
+    bench = Bench(SIP3(5, settings={"C1-01": 10, "C1-02": 10}), "si-p3", "--configuration", "PPO Type 2")
+    with bench.wire:
+        yield bench
+
+
+def test_an_si_p3_shows_its_status_and_names_its_faults(sip3: Bench, capsys: Capture) -> None:
+    assert sip3.main("status") == 0
+    out = capsys.readouterr().out
+    assert "YaskawaSIP3 at address 5, PPO Type 2" in out and "(100 % is 60.00 Hz)" in out
+    assert re.search(r"^faults +none$", out, flags=re.MULTILINE) and "U1-06=" in out
+    assert sip3.main("status", "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["faults"] == ["bUS"] and found["status"]["percent"] == 0.0 and found["current"] == 0.0
+    assert sip3.main("run", "--frequency", "10", "--for", "100ms") == 1
+    assert "run --reset resets it first" in capsys.readouterr().err
+
+
+def test_an_si_p3s_parameters_have_units_and_can_be_stored(sip3: Bench, capsys: Capture) -> None:
+    assert sip3.main("set", "d1-17=7.5", "C1-01=2.5", "--store") == 0
+    out = capsys.readouterr().out
+    assert re.search(r"^d1-17 +7\.50 Hz +jog frequency reference \(0\.00 to 400\.00\)$", out, flags=re.MULTILINE)
+    sip3.wire.reset(sip3.card)
+    assert sip3.main("get", "--json", "d1-17", "C1-01") == 0
+    assert json.loads(capsys.readouterr().out) == {"d1-17": 7.5, "C1-01": 2.5}
+    assert sip3.main("set", "C1-01=6001") == 2
+    assert "C1-01 = 6001: acceleration time" in capsys.readouterr().err
+    assert sip3.main("get", "x1-01") == 2
+
+
+def test_an_si_p3_runs_at_per_cent_and_stops(sip3: Bench, capsys: Capture) -> None:
+    assert sip3.main("run", "--percent", "20", "--reverse", "--for", "1s", "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["zero_speed"] and not found["fault"] and found["output_frequency"] == 0.0
+    assert sip3.main("stop", "--json") == 0
+
+
+def test_arguments_of_a_drive_class(sip3: Bench, capsys: Capture) -> None:
+    sip3.arguments[-1] = "PPO Type 4"
+    assert sip3.main("run", "--frequency", "12", "--for", "100ms") == 2
+    assert "tell it by maximum_frequency" in capsys.readouterr().err
+    sip3.arguments += ["--option", "maximum_frequency=60"]
+    assert sip3.main("run", "--frequency", "12", "--for", "1s", "--reset") == 0
+    assert re.search(r"[1-9][\d.]+ Hz +[\d.]+ A  running", capsys.readouterr().out)
+    sip3.arguments += ["--option", "colour=red"]
+    assert sip3.main("status") == 2
+    assert "--option colour: si-p3 has configuration, index," in capsys.readouterr().err

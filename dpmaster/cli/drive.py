@@ -20,7 +20,7 @@ from dataclasses import asdict
 from typing import Any
 
 from dpmaster import Master
-from dpmaster.cli.demo import number
+from dpmaster.cli.demo import SLOW, number
 from dpmaster.drives import PROFILES, Drive, DriveStatus
 from dpmaster.errors import ConfigurationError, DPTimeout, StationError
 
@@ -123,6 +123,8 @@ def make(args: argparse.Namespace) -> Drive[Any]:
     for name in options:
         if name not in known:
             raise ConfigurationError(f"--option {name}: {args.profile} has {', '.join(list(known)[1:])}")
+    # A machine that is busy with something else shall not stop the drive; the output watchdog has a second, too.
+    options.setdefault("watchdog", 1.0 if args.baudrate > SLOW else 5.0)
     return PROFILES[args.profile](args.address, **options)
 
 
