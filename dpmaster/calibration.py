@@ -125,9 +125,10 @@ def _ask(master: Master, station: int) -> float | None:
 
 def _whom(master: Master, said: Callable[[str], None]) -> int:
     """NOBODY where the port hears itself, else the first slave."""
-    _ask(master, NOBODY)
-    if _echoes(master)[0]:
-        return NOBODY
+    for _ in range(5):  # a busy host may miss one
+        _ask(master, NOBODY)
+        if _echoes(master)[0]:
+            return NOBODY
     said("no echo; looking for a slave ...")
     found = master.live_list()
     slave = next((address for address, entry in found.items() if entry.kind == Live.SLAVE), None)

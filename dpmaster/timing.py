@@ -16,6 +16,7 @@ from typing import Any
 
 from dpmaster._arguments import number, whole
 from dpmaster._core import NS, check, ffi, lib
+from dpmaster.cable import limits
 from dpmaster.errors import ConfigurationError
 from dpmaster.parameters import BAUDRATES, BusParameters
 from dpmaster.station import Station, Watchdog, watchdog_factors
@@ -169,26 +170,29 @@ def _bits(seconds: float, rate: Fraction) -> int:
 
 def cycle(parameters: BusParameters, slaves: Sequence[Slave], *, allowance: float = 0.0, delivery: float = 0.0,
           cycle_time: float | None = None, ring: bool = False, masters: int = 1, others: float | None = None, ttd: int = 0,
-          usual: int | None = None) -> Cycle:
+          usual: int | None = None, chunk: float = 0.0) -> Cycle:
     """Predict the cycle of a master with these slaves (protocol: T_cycle = sum of T_DX + T_token + T_gap + T_GC).
 
     allowance: s that the host may wake late, delivery: s that a paced pty takes to hand over a telegram. A sole master waits
     both out behind every slot, as the wait is Tsl + allowance + delivery; in a `ring` they lie inside Tsl. others: s that each
     other master holds the token; None: as long as this one. ttd: Tbit one way. usual: MaxTsdr, Tbit, of slaves that name none;
-    None: the bus's.
+    None: the bus's. chunk: s between two deliveries of an adapter: each answer is heard at the next one, and the next request
+    goes out then.
     """
     p = parameters
 
     def exchange(slave: Slave) -> Part:
         own = slave.tsdr(p.rate) or usual or p.max_tsdr
-        return _part(p, str(slave), replace(p, max_tsdr=own).predict_exchange(slave.outputs, slave.inputs) + 2 * ttd)
+        part = _part(p, str(slave), replace(p, max_tsdr=own).predict_exchange(slave.outputs, slave.inputs) + 2 * ttd)
+        return _lasting(p, part.name, math.ceil(round(part.seconds / chunk, 6)) * chunk) if chunk else part
 
     exchanges = tuple(map(exchange, slaves))
     # The GAP poll is an SD1 request, as a Data_Exchange without outputs: "66 + TSL (nobody there)", at most one a turn.
     telegrams = (_part(p, "Global_Control", p.predict_global_control()), _part(p, "token", p.predict_token()),
                  _part(p, "GAP poll", p.predict_failure(0)))
     spoken = p.seconds(sum(part.bits for part in exchanges + telegrams))
-    own, least = spoken + allowance, p.seconds(sum(part.bits for part in exchanges) + p.predict_token())
+    # Behind an adapter the token lies in the wait for the next delivery.
+    own, least = spoken + allowance, p.seconds(sum(part.bits for part in exchanges) + (0 if chunk else p.predict_token()))
     foreign = (masters - 1) * (own if others is None else others)
     floor = max(max((slave.min_slave_interval * 1e-4 for slave in slaves), default=0.0), cycle_time or 0.0)
     busy = own + foreign
@@ -231,14 +235,15 @@ def slowest(slaves: Iterable[Slave], rate: Fraction) -> int:
 def plan(baudrate: int = 500_000, slaves: Sequence[Slave] = (), *, addresses: Sequence[int] = (1,), masters: int = 1,
          ring: bool = False, profile: str = "uart", allowance: float | None = None, repeaters: int = 0,
          repeater_delay: int = REPEATER_DELAY, length: float = 0.0, cycle_time: float | None = None,
-         others: float | None = None, parameters: BusParameters | None = None,
+         others: float | None = None, chunk: float = 0.0, parameters: BusParameters | None = None,
          changes: Mapping[str, int] | None = None) -> Timing:
     """Compute what a bus needs, predict what it does, and say what will not work.
 
     baudrate: bit/s, a nominal rate. addresses: of our masters. masters: all on the bus; more than one is a ring, and so is
     `ring` with one that waits for others. profile, allowance (s): the port's, as for `Master`. repeaters: the most between
     two stations, repeater_delay: Tbit through one. length: m from end to end. others: s that each other master holds the
-    token, None: as long as ours. parameters: a whole set in place of the computed one; changes: single values, by name.
+    token, None: as long as ours. chunk: s between two deliveries of a USB adapter. parameters: a whole
+    set in place of the computed one; changes: single values, by name.
 
     Raises ConfigurationError for what is no description of a bus; what is one and will not work is in `findings`.
     """
@@ -248,7 +253,8 @@ def plan(baudrate: int = 500_000, slaves: Sequence[Slave] = (), *, addresses: Se
     masters = max(masters, len(addresses))
     ring = ring or masters > 1
     allowance = profile_allowance(profile) if allowance is None else allowance
-    for name, value, most in (("allowance", allowance, 1), ("cycle_time", cycle_time, 10), ("others", others, 10)):
+    for name, value, most in (("allowance", allowance, 1), ("cycle_time", cycle_time, 10), ("others", others, 10),
+                              ("chunk", chunk, 1)):
         if value is not None and not (number(value) and 0 <= value <= most):
             raise ConfigurationError(f"{name} {value!r} s: 0 to {most} s")
     base = parameters or BusParameters.default(baudrate)
@@ -263,7 +269,7 @@ def plan(baudrate: int = 500_000, slaves: Sequence[Slave] = (), *, addresses: Se
     values: dict[str, Any] = dict(changes)
     chosen = replace(base, **values)
     predicted = cycle(chosen, slaves, allowance=allowance, delivery=delivery, cycle_time=cycle_time, ring=ring,
-                      masters=masters, others=others, ttd=ttd, usual=usual)
+                      masters=masters, others=others, ttd=ttd, usual=usual, chunk=chunk)
     ttr = _bits(predicted.rotation, rate)
     if parameters is None and "ttr" not in changes:
         chosen = replace(chosen, ttr=min(max(chosen.ttr, ttr), TTR_MAX))
@@ -275,6 +281,7 @@ def plan(baudrate: int = 500_000, slaves: Sequence[Slave] = (), *, addresses: Se
         *_rotation(chosen, ttr, masters),
         *_refused(chosen, addresses),
         *_rate(chosen, profile),
+        *_cable(chosen, length, repeaters),
         *_watchdogs(predicted, slaves),
     ]
     return Timing(chosen, tuple(slaves), tuple(addresses), masters, ring, profile, allowance, delivery, others, ttd, needed,
@@ -399,6 +406,17 @@ def _rate(p: BusParameters, profile: str) -> Iterable[Finding]:
     if p.rate > COMMON_RATE_MAX and profile != "pty":
         yield Finding(False, f"few serial ports reach {float(p.rate) / 1e6:g} Mbit/s: PL011 and FT232R end at 3",
                       "an FT232H or FT2232H, or a lower rate; opening the port reads back what the driver made of it")
+
+
+def _cable(p: BusParameters, length: float, repeaters: int) -> Iterable[Finding]:
+    """What the manuals allow of copper, evenly divided by the repeaters."""
+    most = limits(float(p.rate))
+    segments, kilo = repeaters + 1, float(p.rate) / 1000
+    if length > min(most.segment * segments, most.network):
+        needed = math.ceil(length / most.segment) - 1
+        yield Finding(False, f"{length:g} m with {repeaters} repeaters is too long at {kilo:g} kbit/s for copper: "
+                      f"{most.segment} m a segment, {most.network} m in all",
+                      f"{needed} repeaters, or fibre, or a lower rate" if length <= most.network else "fibre, or a lower rate")
 
 
 def _watchdogs(predicted: Cycle, slaves: Sequence[Slave]) -> Iterable[Finding]:

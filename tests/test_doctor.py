@@ -17,9 +17,10 @@ import pytest
 from dpmaster import BusParameters, ConfigurationError, DPError, Master, PortError, cable, calibration, cli, doctor, perf
 from dpmaster.calibration import Calibration, calibrate
 from dpmaster.doctor import Level, examine
-from dpmaster.emulator import Segment
+from dpmaster.emulator import Line, Segment
 from dpmaster.emulator.cards import SIP1
 from dpmaster.ports import Port, Rate, ports
+from dpmaster.timing import plan, profile_allowance
 
 RATE = 500_000
 
@@ -157,6 +158,27 @@ def test_rates_that_one_manual_leaves_out_are_in_the_other(rate: float) -> None:
     """SI-P3 manual, table 6: 1200 m at 19.2, 45.45 and 93.75 kbit/s."""
     assert cable.limits(rate).segment == 1200
     assert cable.limits(rate).stubs == 100
+
+
+def test_timing_tells_of_a_cable_that_is_too_long() -> None:
+    """SI-P1 manual, table C.4: 400 m a segment and 4000 m in all at 500 kbit/s."""
+
+    def found(length: float, repeaters: int) -> list[str]:
+        return [finding.text + finding.remedy for finding in plan(RATE, length=length, repeaters=repeaters).findings]
+
+    assert found(400, 0) == found(1200, 2) == []
+    (text,) = found(1201, 2)
+    assert "400 m a segment, 4000 m in all" in text and "3 repeaters" in text
+    assert any("in allfibre" in text for text in found(4001, 20))
+
+
+# ---- a card on a real line
+
+
+def test_a_line_names_the_tsl_of_its_master(wire: Segment) -> None:
+    """Design page: "A slave on Linux answers not before min Tsdr and not after max Tsdr + its port's allowance"; + 15 Tbit."""
+    with Line(wire.port(), SIP1(5), baudrate=RATE) as line:
+        assert line.tsl == BusParameters.default(RATE).ring_tsl(profile_allowance("pty"))
 
 
 # ---- calibrate

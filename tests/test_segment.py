@@ -534,9 +534,11 @@ def test_segment_and_a_card_on_one_of_its_ports(tmp_path: Path, run: Callable[..
         assert segment.line() == f"{link} -> {os.readlink(link)}"
     card = run("emulate", "si-p1", "--address", 5, "--on", folder / "p2", "--parameters", "factory")
     assert card.line() == str(folder / "p2")
+    assert card.line().startswith("the master needs Tsl ")
     answers(open_port(str(folder / "p0")))
     assert card.end(signal.SIGTERM) == (0, "", "")
     card = run("emulate", "si-p1", "--address", 5, "--on", folder / "p2")
+    card.line()
     card.line()
     assert segment.end(signal.SIGTERM) == (0, "", "")
     assert not folder.exists()

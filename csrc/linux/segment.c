@@ -24,6 +24,7 @@
 #include "linux/wire.h"
 #include "linux/worker.h"
 
+#define HELD 1024  /* octets that an adapter gathers between two deliveries */
 #define SPIN 60000 /* ns before a due time that are watched awake: longer than most wake-ups take */
 
 enum { POLL_WAKE, POLL_PRESENCE, POLL_PORTS };
@@ -35,6 +36,10 @@ struct hub_port {
     unsigned clients;  /* open descriptions of the slave end besides ours */
     bool cut;
     char path[32];
+    /* What an adapter has gathered; its reader has it at `due`. */
+    int64_t due;
+    size_t held;
+    uint8_t octets[HELD];
 };
 
 struct dpm_segment {
@@ -117,14 +122,50 @@ static void take_presence(dpm_segment *segment)
 
 /* ---- What is heard ---- */
 
-static void write_port(dpm_segment *segment, struct hub_port *port, const uint8_t *octets, size_t n)
+static void write_now(dpm_segment *segment, struct hub_port *port, const uint8_t *octets, size_t n)
 {
-    if (!port->clients || port->cut)
-        return;
     /* A wire waits for nobody: what the reader's buffer does not take is lost. */
     ssize_t written = write(port->master, octets, n);
     if (written < (ssize_t)n)
         segment->info.undelivered += n - (written > 0 ? (size_t)written : 0);
+}
+
+static void write_port(dpm_segment *segment, struct hub_port *port, const uint8_t *octets, size_t n)
+{
+    const int64_t chunk = segment->wire.faults.chunk;
+    if (!port->clients || port->cut)
+        return;
+    if (!chunk) {
+        write_now(segment, port, octets, n);
+        return;
+    }
+    if (!port->held)
+        port->due = (dpm_now() / chunk + 1) * chunk;
+    size_t taken = n < HELD - port->held ? n : HELD - port->held;
+    memcpy(port->octets + port->held, octets, taken);
+    port->held += taken;
+    segment->info.undelivered += n - taken;
+}
+
+/* When the next adapter hands over what it has, DPM_NEVER. */
+static int64_t chunk_due(const dpm_segment *segment)
+{
+    int64_t due = DPM_NEVER;
+    for (unsigned i = 0; i < segment->config.ports; i++)
+        if (segment->ports[i].held && segment->ports[i].due < due)
+            due = segment->ports[i].due;
+    return due;
+}
+
+static void hand_over(dpm_segment *segment)
+{
+    for (unsigned i = 0; i < segment->config.ports; i++) {
+        struct hub_port *port = &segment->ports[i];
+        if (port->held && port->due <= dpm_now()) {
+            write_now(segment, port, port->octets, port->held);
+            port->held = 0;
+        }
+    }
 }
 
 /* Octets that ended at `first` .. `last` reach everybody but their source. */
@@ -271,7 +312,9 @@ static void serve(dpm_segment *segment, int ready)
 static void turn(dpm_segment *segment)
 {
     dpm_offer offer = ask(segment);
-    int64_t due = dpm_wire_due(&segment->wire);
+    int64_t due = dpm_wire_due(&segment->wire), chunk = chunk_due(segment);
+    if (chunk < due)
+        due = chunk;
     if (offer.n && offer.not_before < due)
         due = offer.not_before;
     /* While something is under way nothing can be called missing before it was delivered (quiet below). */
@@ -280,6 +323,7 @@ static void turn(dpm_segment *segment)
     if (ready > 0)
         serve(segment, ready);
     deliver_due(segment);
+    hand_over(segment);
     if (ready == 0 && segment->machine) {
         quiet(segment);
         offer = ask(segment);
@@ -531,7 +575,7 @@ int dpm_segment_set_faults(dpm_segment *segment, const dpm_segment_faults *fault
     for (size_t i = 0; i < sizeof chances / sizeof *chances; i++)
         if (chances[i] > 1000000)
             return DPM_E_ARGUMENT;
-    if (copy.delay < 0 || copy.delay > 10000000000)
+    if (copy.delay < 0 || copy.delay > 10000000000 || copy.chunk < 0 || copy.chunk > 10000000000)
         return DPM_E_ARGUMENT;
     return dpm_worker_call(&segment->worker, do_faults, segment, &copy);
 }

@@ -15,6 +15,7 @@ from dpmaster.cli import _links as links
 from dpmaster.emulator import Card, Habits, Host, Line, Segment
 from dpmaster.emulator.cards import SIP1, SIP3, GenericSlave
 from dpmaster.errors import ConfigurationError
+from dpmaster.timing import TSL_MAX
 
 NAME = "emulate"
 HELP = "an emulated slave - an option card with its drive and motor, or one described by data - until SIGINT or SIGTERM"
@@ -37,7 +38,8 @@ def _add(cards: argparse._SubParsersAction[argparse.ArgumentParser], name: str, 
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--link", type=Path, metavar="PATH",
                        help="a pty of its own (the path is the first line printed) with a symbolic link to it at PATH")
-    where.add_argument("--on", metavar="PATH", help="join the wire at this serial port or segment's port")
+    where.add_argument("--on", "--port", metavar="PATH", help="join the wire at this serial port or segment's port")
+    parser.add_argument("--direction", choices=["rs485", "rs485-inverted"], help="with --on: the driver switches the direction")
     parser.add_argument("--baudrate", type=int, metavar="B",
                         help=f"bit/s: paces the card's own pty, which without it is unpaced; with --on {RATE} by default")
     habits = "; ".join(f"{name} {'|'.join(words)}" for name, words in Habits.WORDS.items())
@@ -193,8 +195,14 @@ def _stay(host: Host, card: Card) -> None:
 
 
 def _join(card: Card, args: argparse.Namespace) -> None:
-    with Line(args.on, card, baudrate=args.baudrate or RATE) as line:
+    with Line(args.on, card, baudrate=args.baudrate or RATE, direction=args.direction) as line:
         print(args.on, flush=True)
+        if line.tsl <= TSL_MAX:
+            print(f"the master needs Tsl {line.tsl} Tbit or more: this card answers as late as its operating system wakes",
+                  flush=True)
+        else:
+            print(f"no master waits long enough for this card: it would need Tsl {line.tsl}, and {TSL_MAX} is the most; take a "
+                  "lower rate", flush=True)
         _stay(line, card)
 
 

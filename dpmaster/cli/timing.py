@@ -110,6 +110,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--repeaters", type=int, default=0, metavar="N", help="most repeaters between two stations")
     parser.add_argument("--repeater-delay", type=int, default=REPEATER_DELAY, metavar="TBIT",
                         help=f"of each of them, as its maker says (default {REPEATER_DELAY})")
+    parser.add_argument("--chunk", type=float, default=0.0, metavar="MS",
+                        help="ms between two deliveries of a USB adapter, its latency timer: 1 or 16")
     parser.add_argument("--length", type=float, default=0.0, metavar="M", help="metres of cable between the ends")
     parser.add_argument("--cycle-time", type=milliseconds, metavar="MS", help="from one cycle's start to the next one's")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
@@ -260,7 +262,8 @@ def described(args: argparse.Namespace) -> Timing:
     return plan(
         args.baudrate, args.station, addresses=args.address, masters=args.masters, ring=args.ring, profile=args.profile,
         allowance=args.allowance, repeaters=args.repeaters, repeater_delay=args.repeater_delay, length=args.length,
-        cycle_time=args.cycle_time, others=args.others, changes=changes)
+        cycle_time=args.cycle_time, others=args.others, chunk=args.chunk / 1000,
+        changes=changes)
 
 
 def run(args: argparse.Namespace) -> int:

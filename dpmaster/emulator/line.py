@@ -33,7 +33,7 @@ class Line(Host):
         if not cards:
             raise ConfigurationError("cards: a line needs at least one card")
         self._path = _arguments.path(port)
-        parameters = bus_parameters(baudrate)
+        self._parameters = parameters = bus_parameters(baudrate)
         self._rate = baudrate
         self._open(parameters, getattr(port, "paced", None), direction_code(direction))
         try:
@@ -78,6 +78,13 @@ class Line(Host):
 
     def _shut(self) -> None:
         lib.dpm_bus_close(self._object)
+
+    @property
+    def tsl(self) -> int:
+        """The least slot time, Tbit, that the line's master must be set to: a card behind an operating system answers late."""
+        traits = ffi.new("dpm_port_traits *")
+        lib.dpm_bus_get_traits(self._object, traits)
+        return int(lib.dpm_ring_tsl(self._parameters, traits.allowance))
 
     def _info(self) -> Any:
         info = ffi.new("dpm_bus_info *")

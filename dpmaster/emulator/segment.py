@@ -123,9 +123,10 @@ class Segment(Host):
             return self._ports[index]
 
     def faults(self, *, seed: int = 0, lose: float = 0.0, flip: float = 0.0, insert: float = 0.0, duplicate: float = 0.0,
-               lose_telegram: float = 0.0, delay: float = 0.0) -> None:
+               lose_telegram: float = 0.0, delay: float = 0.0, chunk: float = 0.0) -> None:
         """Make faults from now on, or with no argument none. Chances are per octet (`lose_telegram`: per transmission),
-        0.0 to 1.0; `delay` in seconds, 0 to 10, is added to every delivery. The same seed and the same octets give the same
+        0.0 to 1.0; `delay` in seconds, 0 to 10, is added to every delivery; ports' readers have octets only every `chunk` s, as
+        USB adapters deliver them (0.001, 0.016), attached cards at once. The same seed and the same octets give the same
         faults."""
         self._guard()
         faults = ffi.new("dpm_segment_faults *", {"seed": seed & 0xFFFF_FFFF_FFFF_FFFF})
@@ -134,9 +135,10 @@ class Segment(Host):
             if not number(chance) or not 0.0 <= chance <= 1.0:
                 raise ConfigurationError(f"{name} {chance!r}: a chance is 0.0 to 1.0")
             setattr(faults, name, round(chance * 1_000_000))
-        if not number(delay) or not 0.0 <= delay <= 10.0:
-            raise ConfigurationError(f"delay {delay!r}: 0 to 10 seconds")
-        faults.delay = round(delay * NS)
+        for name, time in (("delay", delay), ("chunk", chunk)):
+            if not number(time) or not 0.0 <= time <= 10.0:
+                raise ConfigurationError(f"{name} {time!r}: 0 to 10 seconds")
+            setattr(faults, name, round(time * NS))
         check(self._call("set_faults", faults), "faults of a segment")
 
     def cut(self, port: str) -> None:

@@ -30,6 +30,7 @@ typedef struct dpm_segment_faults {
     uint32_t duplicate;
     uint32_t lose_telegram;    /* per million transmissions: all of it */
     int64_t delay;             /* ns added to every delivery */
+    int64_t chunk;             /* ns between two deliveries to a port's reader, as adapters gather them; 0: at once */
 } dpm_segment_faults;
 
 typedef struct dpm_segment_info {

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: MIT
+"""Behind an adapter that hands octets over only now and then: prediction on virtual time, exchange on a segment of ptys."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+from simulation import Simulation
+from wire import MS, S, Slaves, default_parameters, lib
+from wire import Master as CoreMaster
+
+from dpmaster import Master
+from dpmaster.calibration import calibrate
+from dpmaster.drives import YaskawaV7
+from dpmaster.emulator import Segment
+from dpmaster.emulator.cards import SIP1
+from dpmaster.timing import Slave, plan
+
+RATE = 500_000
+FIRST = 10  # address of the slaves; each has SI-P1's Basic data, 6 octets each way
+
+
+def simulated(rate: int, chunk: int, slaves: int) -> float:
+    """Mean cycle, s, of a master whose octets come at multiples of `chunk` ns."""
+    parameters = default_parameters(rate)
+    there = Slaves(parameters=parameters, slaves=slaves)
+    master = CoreMaster(parameters=parameters, slaves=slaves, control_interval=1200 * S, allowance=3 * chunk, granularity=chunk)
+    for address in range(FIRST, FIRST + slaves):
+        there.add(address, 0x00CA, b"\x72", user=(0, 0))
+        master.add(address, 0x00CA, b"\x72")
+    wire = Simulation(parameters)
+    wire.attach(master, chunk=chunk)
+    wire.attach(there)
+    master.mode(lib.DPM_MODE_OPERATE)
+    while any(master.slave(i).state != lib.DPM_ST_DATA for i in range(slaves)):
+        wire.run(50 * MS)
+    wire.run(S // 2)
+    begin, cycle = wire.now, master.status.cycle
+    wire.run(2 * S)
+    assert all(master.slave(i).statistics.losses == 0 for i in range(slaves))
+    wire.check()
+    return (wire.now - begin) / (master.status.cycle - cycle) / S
+
+
+@pytest.mark.parametrize("slaves", [1, 4, 8])
+@pytest.mark.parametrize("chunk", [1, 16])
+@pytest.mark.parametrize("rate", [93_750, 500_000, 1_500_000])
+def test_timing_predicts_the_cycle_behind_an_adapter(rate: int, chunk: int, slaves: int) -> None:
+    """Protocol page N.3: USB frames of 1 ms, an FTDI's latency timer of 16 ms."""
+    found = plan(rate, [Slave(FIRST + i, 6, 6) for i in range(slaves)], allowance=3 * chunk / 1000, chunk=chunk / 1000)
+    assert found.cycle.steady == pytest.approx(simulated(rate, chunk * MS, slaves), rel=0.1)
+
+
+@pytest.mark.parametrize("chunk", [0.001, 0.016])
+def test_exchange_stands_behind_an_adapter_with_the_measured_allowance(chunk: float) -> None:
+    """A busy computer may be later than it was while it was measured: one of three attempts has to be without a loss."""
+    for _ in range(3):
+        with Segment(RATE, realtime=True) as wire:
+            card = wire.attach(SIP1(address=7))
+            wire.faults(chunk=chunk)
+            port = wire.port()
+            found = calibrate(port, RATE, station=7, count=30)
+            assert found.worst > chunk / 4, "nothing was late: octets were not gathered"
+            with Master(port, RATE, allowance=found.allowance, realtime=True) as master:
+                drive = master.add(YaskawaV7(address=7))
+                master.operate()
+                begin = drive.statistics
+                deadline = time.monotonic() + 10
+                while drive.statistics.exchanges < begin.exchanges + 20 and time.monotonic() < deadline:
+                    master.wait_cycle()
+                end = drive.statistics
+                assert end.exchanges >= begin.exchanges + 20
+                if end.losses == 0 and wire.report(card).watchdog_expired == 0:
+                    return
+    raise AssertionError(f"losses in each attempt, the last with allowance {found.allowance}: {end}")
