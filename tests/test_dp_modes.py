@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import pytest
 from dp_bus import CLEAR, FREE, OPERATE, READY, SC, Bus, diagnosis, lose
-from wire import MS, Master, S, Script, ffi, lib, octets
+from wire import MS, Master, S, Script, Slaves, Wire, default_parameters, ffi, lib, octets
 
 UNFREEZE, FREEZE, UNSYNC, SYNC = 0x04, 0x08, 0x10, 0x20
 MODES = (lib.DPM_MODE_OFFLINE, lib.DPM_MODE_STOP, lib.DPM_MODE_CLEAR, lib.DPM_MODE_OPERATE)
@@ -258,18 +258,19 @@ def test_the_cyclic_repetition_neither_cancels_nor_repeats_a_sync():
     assert set(bus.told) == {OPERATE}
 
 
-@pytest.mark.parametrize("before", range(4))
-def test_sync_goes_out_once_each_station_has_what_was_committed_before(before):
+@pytest.mark.parametrize("under_way", [False, True])
+@pytest.mark.parametrize("before", range(3))
+def test_sync_goes_out_once_each_station_has_what_was_committed_before(before, under_way):
     """I.4: "the currently buffered outputs go to the terminals": those of one moment, in whatever part of the cycle it is
     ordered; at a defined place, before the cycle's first Data_Exchange."""
     bus = Several(control_interval=200 * S)
     bus.run(before)
-    if before == 3:
-        bus.script.next()  # one is under way: with the outputs of before
+    if under_way:
+        bus.script.next()  # with the outputs of before
     for index in range(3):
         bus.master.commit(index, bytes([index + 1] * 2), bus.script.now)
     order = bus.master.order(bus.script.now, command=SYNC)
-    if before == 3:
+    if under_way:
         bus.script.answer(SC)
     seen: dict[int, bytes] = {}
     while not order.done:
@@ -568,3 +569,24 @@ def test_a_request_that_was_waiting_for_a_station_that_left_blocks_nobody():
     lose(bus)
     bus.script.silence(20 * MS)
     assert bus.next()[6:8] == b"\x6d\x3c"
+
+
+def test_services_of_another_masters_slave():
+    """F.2: Slave_Diag, Get_Cfg, RD_Inp and RD_Outp are for any master; its own goes on meanwhile."""
+    parameters = default_parameters()
+    own, other = (Master(parameters=parameters, address=address, role=lib.DPM_ROLE_RING) for address in (1, 2))
+    slaves = Slaves(parameters=parameters)
+    slaves.add(8, 0x0A35, b"\x31")
+    slaves.put_inputs(0, b"\x12\x34")
+    wire = Wire(parameters, own.machine, other.machine, slaves.machine)
+    own.add(8, 0x0A35, b"\x31")
+    own.mode(lib.DPM_MODE_OPERATE)
+    other.mode(lib.DPM_MODE_STOP)
+    wire.run_until(lambda: own.las == other.las == {1, 2} and own.slave(0).state == lib.DPM_ST_DATA)
+    number = own.commit(0, b"\x55\x66", wire.now)
+    wire.run_until(lambda: own.was_sent(0, number) == 1)
+    for sap, expected in ((60, octets("00 04 00 01 0A 35")), (59, b"\x31"), (56, b"\x12\x34"), (57, b"\x55\x66")):
+        request = other.request(8, 0x0D, dsap=sap, ssap=62)
+        wire.run_until(lambda request=request: request.done)
+        assert bytes(request.answer[0 : request.answer_length]) == expected
+    assert own.slave(0).state == lib.DPM_ST_DATA and own.slave(0).statistics.losses == 0

@@ -36,6 +36,7 @@ from dpmaster.bus import FdlState
 from dpmaster.cli import main
 from dpmaster.diagnosis import Diag
 from dpmaster.emulator import Segment, SlaveState
+from dpmaster.emulator.card import Habits
 from dpmaster.services import Services
 
 
@@ -68,6 +69,13 @@ def pair(master: Master, cards: list[Echo]) -> list[Station]:
             for address, group in ((5, 1), (6, 2))]
     master.operate()
     return made
+
+
+def printed(capsys: pytest.CaptureFixture[str], *argv: str, code: int = 0) -> str:
+    assert main(argv) == code
+    out, err = capsys.readouterr()
+    assert "Traceback" not in err
+    return out if code == 0 else err
 
 
 # ---- Slave_Diag, Get_Cfg, RD_Inp, RD_Outp
@@ -270,6 +278,54 @@ def test_a_station_in_the_cycle_keeps_its_address(master: Master, pair: list[Sta
         master.set_slave_add(5, 9, IDENT)
 
 
+class Movable(Echo):
+    set_address = True
+
+
+def test_an_address_is_set_over_the_wire_and_locked(wire: Segment, capsys: pytest.CaptureFixture[str]) -> None:
+    """From the factory's 126 to a station that exchanges."""
+    card = wire.attach(Movable(126))
+    port = wire.port()
+    assert "station 126 is station 7 now: 1234h, locked" in printed(
+        capsys, "set-address", port, "126", "7", "--ident", "1234", "--lock")
+    assert "kept its address" in printed(capsys, "set-address", port, "7", "8", "--ident", "1234", code=1)
+    with Master(port) as master:
+        station = master.add(Station(7, IDENT, CONFIGURATION))
+        master.operate()
+        assert station.state == StationState.DATA and wire.report(card).address == 7
+
+
+# ---- slaves without inputs
+
+
+class Valve(Echo):
+    configurations = (b"\x23",)
+    max_diagnosis = 62
+
+    def __init__(self, habits: Habits) -> None:
+        super().__init__(5)
+        self.habits = habits
+
+
+@pytest.mark.parametrize(("announce", "poll"), [("sd1", None), ("octet", None), ("never", 0.02), ("never", None)])
+def test_diagnosis_of_a_slave_without_inputs(wire: Segment, announce: Any, poll: float | None) -> None:
+    """Page I.2: disputed how it announces: every way is understood, and diagnosis_poll is for none at all."""
+    card = wire.attach(Valve(Habits(announce=announce)))
+    with Master(wire.port()) as master:
+        station = master.add(Station(5, IDENT, b"\x23", diagnosis_poll=poll))
+        master.operate()
+        station.wait_sent(station.update(0, b"open"))
+        wire.set_diagnosis(card, b"\x02\x42", ext_diag=True)
+        if announce == "never" and poll is None:
+            for _ in range(50):
+                master.wait_cycle()
+            assert station.diagnosis is not None and station.diagnosis.extended == b""
+        else:
+            until(lambda: station.diagnosis is not None and station.diagnosis.extended == b"\x02\x42")
+            assert master.system_diagnostic == {5}
+        assert station.state == StationState.DATA and station.statistics.losses == 0
+
+
 # ---- stations come, go and change while the bus runs
 
 
@@ -458,13 +514,6 @@ def test_a_master_nobody_keeps_unlocks_its_stations(wire: Segment, cards: list[E
 
 
 # ---- the command line
-
-
-def printed(capsys: pytest.CaptureFixture[str], *argv: str, code: int = 0) -> str:
-    assert main(argv) == code
-    out, err = capsys.readouterr()
-    assert "Traceback" not in err
-    return out if code == 0 else err
 
 
 def test_a_technician_reads_a_station(wire: Segment, cards: list[Echo], capsys: pytest.CaptureFixture[str]) -> None:
