@@ -107,8 +107,8 @@ def picture(master: Master) -> list[str]:
 def as_object(master: Master) -> dict[str, Any]:
     counts = master.statistics
     return {
-        "time": round(time.monotonic(), 3), "mode": master.mode.name.lower(), "cycle": counts.cycle, "cycle_last": counts.cycle_last,
-        "repetitions": counts.repetitions, "unanswered": counts.unanswered,
+        "time": round(time.monotonic(), 3), "mode": master.mode.name.lower(), "cycle": counts.cycle,
+        "cycle_last": counts.cycle_last, "repetitions": counts.repetitions, "unanswered": counts.unanswered,
         "stations": [
             {"address": s.address, "name": s.name, "state": s.state.name.lower(), "valid": s.frame.valid, "reason": s.reason,
              "inputs": s.inputs.hex(), "outputs": s.outputs.hex(), "signals": dict(s.signals)} for s in master.stations],
