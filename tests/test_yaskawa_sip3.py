@@ -327,6 +327,34 @@ def test_ram_and_rom(configuration: str) -> None:
     assert [drive[f"d1-0{n}"] for n in range(1, 5)] == [10.0, 20.0, 30.0, 0.0]
 
 
+@pytest.mark.parametrize("configuration", CHANNELS)
+def test_units_are_read_anew_only_where_a_write_may_have_changed_them(configuration: str) -> None:
+    drive = bench(configuration)
+    drive.run(30.0)
+    drive.wait_at_speed(20.0)
+    drive["C1-01"] = 3.0
+    assert drive.status.output_frequency == 30.0
+    drive.stop()
+    drive.wait_stopped(20.0)
+    drive["E1-04"] = 50.0
+    assert drive.highest_frequency == 50.0
+    drive.run(percent=50)
+    drive.wait_at_speed(20.0)
+    assert drive.card.motor.frequency == 25.0 == drive.status.output_frequency
+
+
+def test_run_lifts_a_baseblock_and_nothing_else_does() -> None:
+    for configuration in ("PPO Type 2", "Extended Data 1"):
+        drive = bench(configuration)
+        drive.baseblock()
+        drive.frequency = 24.0
+        drive.let_pass(0.1)
+        assert drive.card.alarms == {"bb"} and not drive.card.running
+        drive.run()
+        drive.wait_at_speed(20.0)
+        assert drive.card.motor.frequency == 24.0
+
+
 @pytest.mark.parametrize("configuration", ["PPO Type 2", *MEMOBUS])
 def test_a_program_may_bring_a_table_with_double_words(configuration: str) -> None:
     table = YASKAWA_1000.extended([Parameter("q1-01", 0x0580, 0, 0x7FFF_FFFF, 70000, "a counter", double=True)])

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 _FACTS = ("b1-01", "b1-02", "E1-04", "E2-04", "H5-12", "o1-03")
+_SCALING = {name.casefold() for name in (*_FACTS, "A1-03")}  # A1-03 initialises all of them
 _RUNS_ON: Mapping[str, tuple[int, str]] = MappingProxyType({
     "F6-01": (3, "alarm only: it runs on when the bus is lost; 0, 1 or 2 stop it"),
     "F6-31": (1, "in Clear it holds its last command; 0 stops it")})
@@ -101,8 +102,8 @@ class _Conventional:
 
     def run(self, reverse: bool, facts: Mapping[str, float]) -> Bits:
         if reverse and facts.get("H5-12"):  # bit 0 is RUN, bit 1 the direction
-            return Bits(Command.RUN, Command.RUN)
-        return Bits(Command.RUN, Command.REVERSE if reverse else Command.FORWARD)
+            return Bits(Command.RUN | Command.BASEBLOCK, Command.RUN)
+        return Bits(Command.RUN | Command.BASEBLOCK, Command.REVERSE if reverse else Command.FORWARD)
 
     stop = Bits(Command.RUN, 0)
     baseblock = (Bits(Command.BASEBLOCK, 0), Bits(Command.RUN, Command.BASEBLOCK))
@@ -275,7 +276,7 @@ class YaskawaSIP3(Drive[SIP3Status]):
         self._command(self._format.jog(reverse))
 
     def baseblock(self, on: bool = True) -> None:
-        """Switch the output off, the motor coasts; off again the drive stands ready. The run command is taken away."""
+        """Switch the output off: the motor coasts, and the run command is taken away. Off again, or by `run`, it is ready."""
         self._command(self._format.baseblock[bool(on)])
 
     def _command(self, bits: Bits) -> int:
@@ -481,19 +482,26 @@ class YaskawaSIP3(Drive[SIP3Status]):
         is written. Most parameters, and storing, are refused while the drive runs."""
         self._need_channel("write")
         words = {name: self._word_of(name, value) for name, value in values.items()}
-        for name, word in words.items():
-            self._write_word(name, word, timeout)
-        self.enter(store=store, timeout=timeout)
+        try:
+            for name, word in words.items():
+                self._write_word(name, word, timeout)
+            self._enter(store, timeout)
+        finally:
+            if _SCALING & {name.strip().casefold() for name in values}:
+                self._facts = None
 
     def enter(self, *, store: bool = False, timeout: float = _ANSWERED) -> None:
         """The Enter command: what was written comes into force; with `store` it is kept in the EEPROM."""
         try:
-            if isinstance(self._need_channel("enter"), PKWChannel):
-                self._task(pkw.Task.CHANGE, profile.PNU_ENTER_ROM if store else profile.PNU_ENTER_RAM, 0, 0, timeout)
-            else:
-                self.write_register(profile.ENTER_ROM if store else profile.ENTER_RAM, 0, timeout=timeout)
+            self._enter(store, timeout)
         finally:
-            self._facts = None  # it may have been one of them, or scale one of them
+            self._facts = None  # nobody knows what had been written
+
+    def _enter(self, store: bool, timeout: float) -> None:
+        if isinstance(self._need_channel("enter"), PKWChannel):
+            self._task(pkw.Task.CHANGE, profile.PNU_ENTER_ROM if store else profile.PNU_ENTER_RAM, 0, 0, timeout)
+        else:
+            self.write_register(profile.ENTER_ROM if store else profile.ENTER_RAM, 0, timeout=timeout)
 
     def _word_of(self, name: str, value: float) -> int:
         parameter = self.table.get(name)
