@@ -491,6 +491,23 @@ def test_after_a_time_out_the_channel_works_again(configuration: str, pause: flo
 
 
 @pytest.mark.parametrize("configuration", ["PPO Type 1", *MEMOBUS])
+@pytest.mark.parametrize("pause", [i * 0.0013 for i in range(20)])
+def test_the_late_answer_to_a_write_is_not_the_value_of_a_read(configuration: str, pause: float) -> None:
+    """Devices page: "A write and a read of one PNU answer alike", and the answer to a write carries 0."""
+    drive = bench(configuration, cycle=0.001, lag=8)
+    drive.write_register("d1-01", 1111)
+    with pytest.raises(DPTimeout):
+        drive.write_register("d1-01", 2222, timeout=0.012)
+    drive.let_pass(pause)
+    assert drive.read_register("d1-01") in (1111, 2222)
+    with pytest.raises(DPTimeout):
+        drive.read_register("d1-02", timeout=0.012)
+    drive.let_pass(pause)
+    drive.write_register("d1-02", 3333)
+    assert drive.read_register("d1-02") == 3333 == drive.card.registers.word(0x0281)
+
+
+@pytest.mark.parametrize("configuration", ["PPO Type 1", *MEMOBUS])
 def test_a_card_that_never_answers_is_a_time_out_and_no_hang(configuration: str) -> None:
     drive = bench(configuration)
     job = drive.card._job
