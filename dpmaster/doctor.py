@@ -83,7 +83,7 @@ def _identity(port: Port) -> Iterator[Remark]:
     yield Remark(Level.GOOD, "port", ", ".join(word for word in words if word))
     if port.kind == "usb" and not any("by-id" in link for link in port.links):
         yield Remark(Level.NOTE, "name", "it has no lasting name: after plugging in anew it may be called otherwise",
-                     "a udev rule that makes a link, as docs/99-dpmaster.rules does")
+                     "a udev rule that makes a link, as examples/99-dpmaster.rules does")
     elif port.links:
         yield Remark(Level.GOOD, "name", f"also {', '.join(port.links)}")
 
@@ -134,7 +134,7 @@ def _delivery(port: Port) -> Iterator[Remark]:
     timer = port.read("device/latency_timer")
     if timer.isdecimal() and int(timer) > 1:
         yield Remark(Level.BAD, "latency", f"the adapter keeps octets for up to {timer} ms before it hands them over",
-                     f"echo 1 | sudo tee {port.sys}/device/latency_timer, or the udev rule of docs/99-dpmaster.rules")
+                     f"echo 1 | sudo tee {port.sys}/device/latency_timer, or the udev rule of examples/99-dpmaster.rules")
     elif port.kind == "usb":
         yield Remark(Level.GOOD if timer else Level.NOTE, "latency",
                      "the latency timer is 1 ms" if timer else "this adapter's delay cannot be set",

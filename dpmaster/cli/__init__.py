@@ -24,7 +24,7 @@ from dpmaster.errors import ConfigurationError, DPError
 # Every command, in the order of the help.
 COMMANDS: tuple[str, ...] = (
     "demo", "run", "segment", "emulate", "scan", "drive", "diag", "cfg", "read_inputs", "read_outputs", "set_address",
-    "control", "ports", "doctor", "calibrate", "perf", "decode", "gsd", "timing",
+    "control", "ports", "bridge", "doctor", "calibrate", "perf", "decode", "gsd", "timing",
 )
 
 OK, FAILED, USAGE, INTERRUPTED, TERMINATED = 0, 1, 2, 128 + signal.SIGINT, 128 + signal.SIGTERM

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from dpmaster.bridge import Bridge
 from dpmaster.emulator.host import Host
 from dpmaster.errors import DPError
 
@@ -48,7 +49,7 @@ def directory(path: Path) -> Iterator[None]:
             path.rmdir()
 
 
-def stay(host: Host) -> None:
+def stay(host: Host | Bridge) -> None:
     """Until a signal raises KeyboardInterrupt; or the error of what went wrong meanwhile."""
     while True:
         time.sleep(LOOK)

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: MIT
+"""A converter on the network as a port of this computer: ``socket://HOST:PORT`` and ``rfc2217://HOST:PORT`` joined to a pty.
+
+pyserial speaks to the converter, a program opens the pty like any port. What a network adds to every answer the port has to be
+told as its allowance: `calibration` measures it. Only for a master that is alone on its bus; no ring waits for a network.
+"""
+
+from __future__ import annotations
+
+import os
+import pty
+import select
+import threading
+import tty
+from types import TracebackType
+
+import serial
+
+from dpmaster._arguments import whole
+from dpmaster.errors import ConfigurationError, PortError
+
+__all__ = ["Bridge"]
+
+SCHEMES = ("socket://", "rfc2217://")
+SLICE = 0.1  # s between two looks whether the end is wanted
+CHUNK = 512
+
+
+class Bridge:
+    """A pty that is joined to `url` until close(). `baudrate` in bit/s, which an RFC 2217 server is told, together with even
+    parity; behind ``socket://`` the converter is set up by its own means. Raises PortError when nobody answers there.
+    """
+
+    def __init__(self, url: str, baudrate: int = 500_000) -> None:
+        if not isinstance(url, str) or not url.startswith(SCHEMES):
+            raise ConfigurationError(f"url {url!r}: socket://HOST:PORT, or rfc2217://HOST:PORT where the converter speaks that")
+        whole("baudrate", baudrate, 1, 12_000_000)
+        self.url = url
+        try:
+            self._line = serial.serial_for_url(url, do_not_open=True, baudrate=baudrate, parity=serial.PARITY_EVEN,
+                                               timeout=SLICE)
+            self._line.open()
+        except (serial.SerialException, OSError, ValueError) as error:
+            raise PortError(f"{url}: {error}; is the converter on, and free?", path=url) from None
+        self._pty, self._near = pty.openpty()  # its near end stays open here, so that a client's end is no hang-up
+        tty.setraw(self._near)
+        os.set_blocking(self._pty, False)
+        self.path = os.ttyname(self._near)
+        self._failure: Exception | None = None
+        self._ended = threading.Event()
+        self._threads = [threading.Thread(target=self._run, args=(pump,), name="dpmaster-bridge", daemon=True)
+                         for pump in (self._inward, self._outward)]
+        for thread in self._threads:
+            thread.start()
+
+    def _run(self, pump: object) -> None:
+        try:
+            while not self._ended.is_set():
+                pump()  # type: ignore[operator]
+        except (serial.SerialException, OSError) as failure:
+            if not self._ended.is_set():
+                self._failure = failure
+                self._ended.set()
+
+    def _inward(self) -> None:
+        octets = self._line.read(1)
+        if octets:
+            octets += self._line.read(min(self._line.in_waiting, CHUNK))
+            try:
+                os.write(self._pty, octets)
+            except BlockingIOError:  # nobody reads the pty: a wire waits for nobody
+                pass
+
+    def _outward(self) -> None:
+        if select.select([self._pty], [], [], SLICE)[0]:
+            self._line.write(os.read(self._pty, CHUNK))
+
+    def check(self) -> None:
+        """Raise PortError when the converter has gone."""
+        if self._failure is not None:
+            raise PortError(f"{self.url}: {self._failure}; is the converter still on?", path=self.url) from self._failure
+
+    def close(self) -> None:
+        """Idempotent; the pty hangs up."""
+        self._ended.set()
+        for thread in self._threads:
+            thread.join()
+        self._threads = []
+        if self._pty >= 0:
+            self._line.close()
+            os.close(self._pty)
+            os.close(self._near)
+            self._pty = -1
+
+    def __enter__(self) -> Bridge:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()

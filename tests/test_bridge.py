@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: MIT
+"""Converters on the network: a pty joined to socket:// and rfc2217://, here both on the loopback."""
+
+from __future__ import annotations
+
+import os
+import select
+import socket
+import threading
+from collections.abc import Iterator
+
+import pytest
+import serial
+from serial import rfc2217
+
+from dpmaster import ConfigurationError, Master, PortError
+from dpmaster.bridge import Bridge
+from dpmaster.drives import YaskawaV7
+from dpmaster.emulator import Segment
+from dpmaster.emulator.cards import SIP1
+
+pytestmark = pytest.mark.filterwarnings("ignore:set(Daemon|Name):DeprecationWarning")  # pyserial's own
+
+
+class WithoutModemLines(serial.Serial):
+    """A pty has none, and an RFC 2217 server asks for them."""
+
+    cts = dsr = ri = cd = False
+
+    def _update_rts_state(self) -> None: ...
+    def _update_dtr_state(self) -> None: ...
+
+    def _reconfigure_port(self, force_update: bool = False) -> None:
+        """Nor has it parity; its line is raw already."""
+
+
+class Converter:
+    """A box with a network socket and a serial line, as a program: one client, octets each way; with `telnet` RFC 2217."""
+
+    def __init__(self, path: str, telnet: bool = False) -> None:
+        self.server = socket.create_server(("127.0.0.1", 0))
+        self.port = self.server.getsockname()[1]
+        self.line = WithoutModemLines(path, timeout=0)
+        self.telnet = telnet
+        self.thread = threading.Thread(target=self.serve)
+        self.thread.start()
+
+    def serve(self) -> None:
+        try:
+            client, _ = self.server.accept()
+        except OSError:
+            return
+        with client:
+            self.relay(client)
+
+    def relay(self, client: socket.socket) -> None:
+        class Out:
+            def write(self, octets: bytes) -> None:
+                client.sendall(octets)
+
+        client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        manager = rfc2217.PortManager(self.line, Out()) if self.telnet else None
+        while True:
+            ready, _, _ = select.select([client, self.line.fileno()], [], [])
+            if client in ready:
+                octets = client.recv(512)
+                if not octets:
+                    return
+                self.line.write(b"".join(manager.filter(octets)) if manager else octets)
+            if self.line.fileno() in ready:
+                octets = self.line.read(512)
+                client.sendall(b"".join(manager.escape(octets)) if manager else octets)
+
+    def close(self) -> None:
+        self.server.shutdown(socket.SHUT_RDWR)
+        self.server.close()
+        self.thread.join(10)
+        self.line.close()
+
+
+@pytest.fixture(params=["socket", "rfc2217"])
+def url(request: pytest.FixtureRequest) -> Iterator[str]:
+    """A converter whose line is a wire with an SI-P1 on it."""
+    with Segment(ports=1, cards=1) as wire:
+        wire.attach(SIP1(address=5))
+        converter = Converter(wire.port(), telnet=request.param == "rfc2217")
+        yield f"{request.param}://127.0.0.1:{converter.port}"
+        converter.close()
+
+
+def test_a_master_drives_through_a_converter(url: str) -> None:
+    with Bridge(url) as bridge:
+        with Master(bridge.path, allowance=0.3) as master:
+            drive = master.add(YaskawaV7(address=5, watchdog=5.0))
+            master.operate(timeout=20)
+            assert drive.read_parameter("n003") == 3  # devices page: commissioned, n003 = 3
+        bridge.check()
+
+
+def test_a_bridge_leaves_nothing_behind(url: str) -> None:
+    threads, descriptors = threading.active_count(), len(os.listdir("/proc/self/fd"))
+    bridge = Bridge(url)
+    bridge.close()
+    bridge.close()
+    assert threading.active_count() <= threads  # the converter's may end, too
+    assert len(os.listdir("/proc/self/fd")) <= descriptors + 1  # the converter's end of the connection
+
+
+def test_nobody_there_is_one_clear_error() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+    with pytest.raises(PortError, match=rf"socket://127.0.0.1:{port}: .*is the converter on, and free\?"):
+        Bridge(f"socket://127.0.0.1:{port}")
+
+
+@pytest.mark.parametrize("wrong", ["/dev/ttyS0", "tcp://x:1", 5])
+def test_what_is_no_url_is_refused(wrong: object) -> None:
+    with pytest.raises(ConfigurationError, match="socket://HOST:PORT"):
+        Bridge(wrong)  # type: ignore[arg-type]
