@@ -1,19 +1,22 @@
 # SPDX-License-Identifier: MIT
-"""Behind an adapter that hands octets over only now and then: prediction on virtual time, exchange on a segment of ptys."""
+"""Behind a USB adapter: octets come only now and then, on virtual time and on a segment of ptys, and it may be pulled out."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 from simulation import Simulation
 from wire import MS, S, Slaves, default_parameters, lib
 from wire import Master as CoreMaster
 
-from dpmaster import Master
+from dpmaster import ConfigurationError, Master, PortError, StationState
 from dpmaster.calibration import calibrate
 from dpmaster.drives import YaskawaV7
 from dpmaster.emulator import Segment
+from dpmaster.emulator.card import SlaveState
 from dpmaster.emulator.cards import SIP1
 from dpmaster.timing import Slave, plan
 
@@ -74,3 +77,48 @@ def test_exchange_stands_behind_an_adapter_with_the_measured_allowance(chunk: fl
                 if end.losses == 0 and wire.report(card).watchdog_expired == 0:
                     return
     raise AssertionError(f"losses in each attempt, the last with allowance {found.allowance}: {end}")
+
+
+# ---- an adapter that is pulled out
+
+
+def test_a_port_that_is_pulled_out_and_plugged_in_is_found_by_its_link(tmp_path: Path) -> None:
+    """The master looks for a port that was made anew under its link; the drive comes back with safe outputs."""
+    link = tmp_path / "profibus"
+    with Segment(ports=1, cards=1) as wire:
+        card = wire.attach(SIP1(address=5))
+        port = wire.port()
+        link.symlink_to(port)
+        with Master(str(link), RATE, output_watchdog=None) as master:
+            drive = master.add(YaskawaV7(address=5))
+            master.operate()
+            wire.pull_out(port)
+            until(lambda: drive.state == StationState.OFFLINE)
+            with pytest.raises(PortError, match=f"port {link}: the port vanished"):
+                master.operate(timeout=5)
+            link.unlink()
+            link.symlink_to(wire.plug_in(port))
+            until(lambda: drive.state == StationState.DATA)
+            assert drive.statistics.losses == 1
+            assert wire.report(card).state == SlaveState.DATA_EXCH
+
+
+def test_a_port_that_is_out_has_no_reader_and_stops_nobody() -> None:
+    with Segment(ports=3, cards=1) as wire:
+        wire.attach(SIP1(address=5))
+        out, other = wire.port(), wire.port()
+        wire.pull_out(out)
+        wire.pull_out(out)
+        with Master(other, RATE) as master:
+            master.add(YaskawaV7(address=5))
+            master.operate()
+        assert wire.plug_in(out).number == out.number
+        with pytest.raises(ConfigurationError, match="is none of this segment's"):
+            wire.pull_out("/dev/pts/no-such")
+
+
+def until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 20
+    while not condition():
+        assert time.monotonic() < deadline, "it did not happen"
+        time.sleep(0.005)

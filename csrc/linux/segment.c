@@ -86,6 +86,18 @@ static int open_port(dpm_segment *segment, struct hub_port *port)
     return port->watch < 0 ? DPM_E_SYSTEM : DPM_OK;
 }
 
+/* The master first: that is what hangs up the clients. */
+static void close_port(struct hub_port *port)
+{
+    if (port->master >= 0)
+        close(port->master);
+    if (port->slave >= 0)
+        close(port->slave);
+    port->master = port->slave = port->watch = -1;
+    port->clients = 0;
+    port->held = 0;
+}
+
 /* The last client has gone, perhaps killed: what it would have undone itself is undone here. TIOCEXCL would outlive it,
  * since the slave end stays open. */
 static void vacate(struct hub_port *port)
@@ -390,16 +402,11 @@ static int open_ports(dpm_segment *segment)
     return code;
 }
 
-/* The masters first: that is what hangs up the clients. */
 static void release(dpm_segment *segment)
 {
     int saved = errno;
-    for (unsigned i = 0; i < segment->config.ports; i++) {
-        if (segment->ports[i].master >= 0)
-            close(segment->ports[i].master);
-        if (segment->ports[i].slave >= 0)
-            close(segment->ports[i].slave);
-    }
+    for (unsigned i = 0; i < segment->config.ports; i++)
+        close_port(&segment->ports[i]);
     if (segment->presence >= 0)
         close(segment->presence);
     errno = saved;
@@ -599,6 +606,32 @@ int dpm_segment_cut(dpm_segment *segment, unsigned port, bool cut)
     if (port >= segment->config.ports)
         return DPM_E_ARGUMENT;
     return dpm_worker_call(&segment->worker, do_cut, segment, &call);
+}
+
+/* As an adapter that is pulled out: its client sees the line hang up. Back in it is another pty. */
+static int do_plug(void *object, void *argument)
+{
+    dpm_segment *segment = object;
+    const struct cut_call *call = argument;
+    struct hub_port *port = &segment->ports[call->port];
+    struct pollfd *poll = &segment->polls[POLL_PORTS + call->port];
+    close_port(port);
+    poll->fd = -1;
+    if (call->cut)
+        return DPM_OK;
+    int code = open_port(segment, port);
+    if (code)
+        close_port(port);
+    poll->fd = port->master;
+    return code;
+}
+
+int dpm_segment_plug(dpm_segment *segment, unsigned port, bool in)
+{
+    struct cut_call call = {port, !in};
+    if (port >= segment->config.ports)
+        return DPM_E_ARGUMENT;
+    return dpm_worker_call(&segment->worker, do_plug, segment, &call);
 }
 
 static int do_info(void *object, void *argument)

@@ -149,12 +149,26 @@ class Segment(Host):
         """Join a port's wire again."""
         self._set_cut(port, False)
 
+    def pull_out(self, port: str) -> None:
+        """Pull a port out, as a USB adapter: whoever has it open sees it vanish."""
+        check(self._call("plug", self._known(port).number, False), f"pull out {port}")
+
+    def plug_in(self, port: str) -> PortPath:
+        """Plug a port in again, which has been pulled out or not: the path it has from now on."""
+        known = self._known(port)
+        check(self._call("plug", known.number, True), f"plug in {port}")
+        path = os.fsdecode(ffi.string(lib.dpm_segment_path(self._object, known.number)))
+        self._ports[known.number] = PortPath(path, known.number, known.paced, known.baudrate)
+        return self._ports[known.number]
+
     def _set_cut(self, port: str, cut: bool) -> None:
+        check(self._call("cut", self._known(port).number, cut), f"cut {port}")
+
+    def _known(self, port: str) -> PortPath:
         self._guard()
         for known in self._ports:
             if known == port:
-                check(self._call("cut", known.number, cut), f"cut {port}")
-                return
+                return known
         raise ConfigurationError(f"port {port!r} is none of this segment's: {', '.join(self._ports) or 'none handed out'}")
 
     def _info(self) -> Any:

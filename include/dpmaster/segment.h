@@ -70,6 +70,8 @@ DPM_API int dpm_segment_slave_ready(dpm_segment *segment, int index, bool ready)
 DPM_API int dpm_segment_set_faults(dpm_segment *segment, const dpm_segment_faults *faults);
 /* Cut one port's wire (nothing passes either way) or join it again. */
 DPM_API int dpm_segment_cut(dpm_segment *segment, unsigned port, bool cut);
+/* Pull a port out, as an adapter (its client sees it hang up), or plug it in: it is another pty then, see dpm_segment_path. */
+DPM_API int dpm_segment_plug(dpm_segment *segment, unsigned port, bool in);
 DPM_API int dpm_segment_get_info(dpm_segment *segment, dpm_segment_info *info);
 
 #endif

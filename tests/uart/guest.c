@@ -174,7 +174,7 @@ static dpm_image *image(void)
 static int start_master(dpm_bus *bus, uint32_t rate, dpm_outputs *outputs, dpm_image *inputs)
 {
     dpm_master *master;
-    dpm_master_config config = {.station = {.address = 1}, .slaves = 1, .control_interval = SECOND / 3};
+    dpm_master_config config = {.station = {.address = 1}, .slaves = 1, .data_control_time = SECOND};
     /* The manual's ident number and "Basic data", three words each way; a watchdog of 5 s. */
     dpm_slave_set set = {.address = SIP1, .ident_number = 0x00CA, .configuration = {0x72}, .configuration_length = 1,
                          .wd_fact_1 = 10, .wd_fact_2 = 50, .min_tsdr = 11, .min_slave_interval = 1, .active = true};
