@@ -254,15 +254,23 @@ def test_cancelling_the_program_ends_its_loops(master: Master, station: Station)
 
 
 def test_closing_wakes_everybody(master: Master, station: Station) -> None:
-    async def count(things: Any) -> int:
-        return len([thing async for thing in things])
+    async def count(things: Any, begun: asyncio.Event) -> int:
+        n = 0
+        async for _ in things:
+            n += 1
+            begun.set()
+        return n
 
     async def program() -> None:
-        await master.aio.operate()
+        begun = [asyncio.Event(), asyncio.Event()]
+        await master.aio.stop()
         waits = [asyncio.create_task(station.aio.wait(never, None)) for _ in range(20)]  # more than an executor has threads
-        loops = [asyncio.create_task(count(things)) for things in (master.aio.cycles(), master.aio.events())]
-        await master.aio.wait_cycle()
-        threading.Timer(0.05, master.close).start()
+        events = asyncio.create_task(count(master.aio.events(), begun[0]))
+        await asyncio.sleep(0)  # it has subscribed
+        await master.aio.operate()
+        loops = [asyncio.create_task(count(master.aio.cycles(), begun[1])), events]
+        await asyncio.gather(*(each.wait() for each in begun))
+        threading.Thread(target=master.close).start()
         results = await asyncio.wait_for(asyncio.gather(*waits, *loops, return_exceptions=True), 5.0)
         assert {type(result) for result in results[:20]} == {ClosedError}
         assert all(isinstance(seen, int) and seen > 0 for seen in results[20:])

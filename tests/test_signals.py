@@ -91,9 +91,10 @@ def test_reading_and_writing_by_name(bus: tuple[GenericSlave, Station]) -> None:
     assert station.signals.read(station.frame) == {"ready": True, "level": pytest.approx(50.0)}
     station.signals["lamp"] = True
     station.wait_sent(station.signals.commit({"run": True, "speed": -2}), 5)
-    assert station.outputs == slave.outputs == bytes.fromhex("03 00 FF FE"), "lamp stays on"
+    assert station.outputs == bytes.fromhex("03 00 FF FE"), "lamp stays on"
+    slave.wait(lambda slave: slave.outputs == station.outputs, 5)
     station.wait_sent(station.signals.commit({"lamp": False}), 5)
-    assert slave.outputs == bytes.fromhex("01 00 FF FE")
+    slave.wait(lambda slave: slave.outputs == bytes.fromhex("01 00 FF FE"), 5)
 
 
 def test_names_that_are_not_there(bus: tuple[GenericSlave, Station]) -> None:
