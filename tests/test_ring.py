@@ -14,6 +14,7 @@ from simulation import Simulation
 from wire import MS, US, Master, Offer, S, Script, Slaves, Wire, default_parameters, feed, lib, octets
 
 RING = lib.DPM_ROLE_RING
+LATE_WAKES = 8  # thirds of a wake's lateness that a host may be late in all: to hear, for its own, and what its looks leave open
 TSL = 200  # Tbit at 500 kbit/s
 
 
@@ -356,7 +357,7 @@ class Echoing:
 
     def __init__(self, *addresses: int, role: int = RING, told: bool = False, **host: int) -> None:
         parameters = default_parameters(500_000)
-        late = 4 * host.get("lateness", 0) + host.get("chunk", 0)  # late to look, to see the token, to wake for its own
+        late = LATE_WAKES * host.get("lateness", 0) // 3 + host.get("chunk", 0)
         parameters.tsl = max(TSL, lib.dpm_ring_tsl(parameters, late))
         parameters.hsa = 12
         self.masters = [Master(parameters=parameters, address=a, role=role, slaves=1, echo=told, allowance=late,
@@ -479,6 +480,40 @@ def test_a_token_that_may_be_older_than_a_slot_is_not_used():
     assert bus.master.status.fdl.tokens_lost == 1 and bus.script.now > heard
     bus.script.answer(token(5, 2), tsdr=10)
     assert bus.script.next(limit=MS, tokens=True) != b""
+
+
+@pytest.mark.parametrize(("waits", "delivery", "speaks"), [(200 - 12, 0, True), (200 - 10, 0, False), (320 - 112, 100, True),
+                                                         (320 - 110, 100, False)])
+def test_the_first_telegram_is_heard_within_the_predecessors_slot(waits, delivery, speaks):
+    """A character of it, or where telegrams are handed over whole the longest, has ended by then; later two would talk at once."""
+    parameters = default_parameters(500_000)
+    parameters.tsl = 320 if delivery else TSL
+    bus = Bus(parameters=parameters, delivery=2000 * delivery)
+    bus.entered()
+    bus.script.now += bus.script.bits(waits)
+    assert (bus.script.next(limit=bus.script.bits(1), tokens=True) != b"") is speaks
+    assert bus.master.status.fdl.tokens_lost == (not speaks)
+
+
+@pytest.mark.parametrize("addresses", [(5, 9), (0, 3, 9, 12)])
+@pytest.mark.parametrize(("rate", "lateness"), [(9600, 100 * MS), (500_000, 10 * MS), (12_000_000, 100 * US)])
+def test_a_ring_of_late_hosts_loses_no_token(rate, lateness, addresses):
+    """Tsl = max Tsdr + 15 + allowance, each wake late: the allowance lies inside the slot, and no rule is broken."""
+    parameters = default_parameters(rate)
+    parameters.tsl, parameters.hsa = lib.dpm_ring_tsl(parameters, LATE_WAKES * lateness // 3), 12
+    masters = [Master(parameters=parameters, address=a, role=RING, slaves=1, allowance=LATE_WAKES * lateness // 3,
+                      granularity=lateness) for a in addresses]
+    wire = Simulation(parameters)
+    for i, master in enumerate(masters):
+        wire.attach(master, lateness=lateness, seed=rate + i)
+        master.mode(lib.DPM_MODE_STOP)
+    while any(master.las != set(addresses) for master in masters):
+        wire.run(20_000 * wire.bits(parameters.tsl), tokens=100)
+        wire.check()
+    begin = [m.status.fdl.tokens_lost + m.status.fdl.token_repetitions for m in masters]
+    wire.run(tokens=1500)
+    wire.check()
+    assert [m.status.fdl.tokens_lost + m.status.fdl.token_repetitions for m in masters] == begin
 
 
 def test_a_late_host_looks_so_often_that_it_can_tell():

@@ -231,7 +231,7 @@ static void judge_request(dpm_simulation *sim, dpm_sim_side *side, const dpm_tra
 static void judge_answer(dpm_simulation *sim, const dpm_sim_side *side, const dpm_transmission *t)
 {
     const dpm_simulation_host *host = &sim->port[t->port].host;
-    const int64_t most = sim->limits.max_tsdr + host->lateness + host->chunk;
+    const int64_t most = sim->limits.max_tsdr + 2 * host->lateness + host->chunk; /* to hear it, and to wake for its own */
     if (!side->pending || (t->sa >= 0 && (t->sa != side->asked || t->da != side->asker)))
         put_breach(sim, t, DPM_RULE_UNASKED, t->sa, side->pending ? side->asked : -1);
     else if (t->start - side->asked_earliest < sim->limits.min_tsdr)

@@ -12,6 +12,7 @@
 
 #define FC_CODE(fc) ((fc) & 0x0F)
 #define TURNS_FOR_ONE 8 /* of the first user, when it leaves no time to the others */
+#define LOOKS 4         /* in a slot, of a host that may be late */
 
 void dpm_station_event(dpm_station *station, const dpm_event *event)
 {
@@ -597,15 +598,20 @@ static int64_t use_token(dpm_station *st, int64_t now)
     return now;
 }
 
+/* A late host looks often enough to know, when a token comes, how old that may be; behind its own pass, too, for in a ring of
+ * two the token may be the first that comes back. */
+static int64_t look_at(const dpm_station *st)
+{
+    const bool may_come = st->state == DPM_FDL_ACTIVE_IDLE || st->state == DPM_FDL_CHECK_TOKEN_PASS;
+    return st->config.traits.allowance && may_come ? st->looked + st->tsl / LOOKS : DPM_NEVER;
+}
+
 /* When silence will let the machine conclude something. */
 static int64_t silence_at(const dpm_station *st)
 {
-    const int64_t unfinished = dpm_receiver_deadline(&st->receiver);
+    const int64_t unfinished = min_of(dpm_receiver_deadline(&st->receiver), look_at(st));
     switch (st->state) {
     case DPM_FDL_ACTIVE_IDLE:
-        /* A late host looks often enough to know, when a token comes, how old that may be. */
-        if (st->config.traits.allowance)
-            return min_of(unfinished, min_of(silence_ends(st), st->looked + st->tsl / 4));
         return min_of(unfinished, silence_ends(st));
     case DPM_FDL_LISTEN_TOKEN:
         return min_of(unfinished, claim_at(st));

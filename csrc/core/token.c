@@ -146,16 +146,18 @@ static void heard_own(dpm_station *st, int64_t now)
     dpm_station_drop_token(st, DPM_FDL_OFFLINE, now, true);
 }
 
-/* Token hold time Tth = Ttr - Trr; the first telegram must begin within the predecessor's slot. */
+/* Token hold time Tth = Ttr - Trr; the first telegram must begin so that the predecessor hears of it within its slot: when its
+ * first character has ended, or where telegrams are handed over whole, when the longest has. */
 static void accept(dpm_station *st, const dpm_received *rx)
 {
+    const dpm_parameters *p = &st->config.parameters;
     const int64_t now = rx->end_latest;
-    const int64_t ttr = dpm_bits_down(&st->config.parameters, st->config.parameters.ttr);
+    const int64_t heard = dpm_bits_up(p, DPM_CHARACTER_BITS) + st->config.traits.delivery;
     count_rotation(st, now);
-    st->hold_until = now + max_of(ttr - st->ring.trr, 0);
+    st->hold_until = now + max_of(dpm_bits_down(p, p->ttr) - st->ring.trr, 0);
     /* A host that wakes late cannot tell when it came, only that it was not there at the last look. */
     const bool late = st->config.traits.allowance > 0;
-    st->speak_until = (late ? min_of(rx->end_earliest, st->looked) : rx->end_earliest) + st->tsl;
+    st->speak_until = (late ? min_of(rx->end_earliest, st->looked) : rx->end_earliest) + st->tsl - heard;
     st->spoke = false;
     st->stranger = -1;
     st->passes = 0;

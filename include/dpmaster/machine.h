@@ -69,7 +69,8 @@ struct dpm_machine {
 
 /* What a machine must know about the port it sits on (see csrc/linux/port.c for the measured defaults). */
 typedef struct dpm_port_traits {
-    int64_t allowance;   /* ns the host, ours or the other one, may wake late: added to every slot time */
+    int64_t allowance;   /* ns the host, ours or the other one, may be late in all, to hear a telegram and then to wake for its
+                          * own: added to every slot time. In a ring of hosts that may be late by L at any wake, 8/3 L */
     int64_t granularity; /* ns of silence after which an unfinished telegram is given up */
     int64_t delivery;    /* ns from a telegram's first octet until it is handed over, where that is done only when it is whole */
     bool echo;           /* it is known to hear itself; else the first echo tells */

@@ -86,7 +86,7 @@ enum dpm_rule {
     DPM_RULE_TID2,         /* after an SDN */
     DPM_RULE_SLOT,         /* repeated or gone on before the slot was over */
     DPM_RULE_MIN_TSDR,
-    DPM_RULE_MAX_TSDR,     /* the host's lateness and chunk are allowed on top */
+    DPM_RULE_MAX_TSDR,     /* twice the host's lateness and its chunk are allowed on top */
     DPM_RULE_COLLISION,    /* began while the wire was busy; value: for how long it still was */
     DPM_RULE_BABBLING,     /* more than Tsyni without 33 Tbit of idle */
     DPM_RULE_HOLD,         /* a cycle begun past Ttr, other than the one of high priority; value: since the last token */
