@@ -30,7 +30,9 @@ __all__ = ["Calibration", "calibrate"]
 
 # Allowances of the profile that an answer may be late, while it is measured and while a slave is looked for.
 PATIENCE, SEARCH = 10.0, 1.0
-MARGIN = 2.0  # allowance = this times the worst that was seen: the next hour has worse moments than these seconds
+# allowance = this times the worst that was seen: a host is late to hear and again to wake for its own, a ring takes 8/3, and
+# the next hour has worse moments than these seconds.
+MARGIN = 3.0
 STEP = 1e-4  # s to which it is rounded up
 NOBODY = 126  # the address that waits for Set_Slave_Add: no request to it is answered in a bus that works
 SPAN = 0.05  # s that the measurement of the rate lasts at least

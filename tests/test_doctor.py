@@ -200,7 +200,7 @@ def test_an_echo_is_measured(hasty: None, capsys: pytest.CaptureFixture[str], tm
     assert (found.by, found.rate) == ("echo", None)
     assert 10 <= found.samples <= 20  # a busy host may miss one
     assert 0 <= found.mean <= found.p99 <= found.worst
-    assert 2 * found.worst <= found.allowance <= 2 * found.worst + 1.01e-4
+    assert 3 * found.worst <= found.allowance <= 3 * found.worst + 1.01e-4
 
 
 def test_a_slave_s_answers_are_measured_and_the_result_runs_a_master(wire: Segment) -> None:

@@ -14,7 +14,7 @@ from simulation import Simulation
 from wire import MS, US, Master, Offer, S, Script, Slaves, Wire, default_parameters, feed, lib, octets
 
 RING = lib.DPM_ROLE_RING
-LATE_WAKES = 8  # thirds of a wake's lateness that a host may be late in all: to hear, for its own, and what its looks leave open
+LATE_WAKES = 8  # thirds of what one wake is late, that a host is in all: to hear, for its own, and what its looks leave open
 TSL = 200  # Tbit at 500 kbit/s
 
 
@@ -485,7 +485,7 @@ def test_a_token_that_may_be_older_than_a_slot_is_not_used():
 @pytest.mark.parametrize(("waits", "delivery", "speaks"), [(200 - 12, 0, True), (200 - 10, 0, False), (320 - 112, 100, True),
                                                          (320 - 110, 100, False)])
 def test_the_first_telegram_is_heard_within_the_predecessors_slot(waits, delivery, speaks):
-    """A character of it, or where telegrams are handed over whole the longest, has ended by then; later two would talk at once."""
+    """A character of it, or the longest where telegrams are handed over whole, has ended by then: else two talk at once."""
     parameters = default_parameters(500_000)
     parameters.tsl = 320 if delivery else TSL
     bus = Bus(parameters=parameters, delivery=2000 * delivery)

@@ -126,9 +126,9 @@ def test_timing_computes_what_a_master_on_a_paced_pty_needs(rate: int) -> None:
 
 
 def test_a_master_with_echo_hears_its_own_tokens() -> None:
-    with Segment(RATE, echo=True) as wire:
+    with Segment(RATE, echo=True, realtime=True) as wire:
         card = wire.attach(SIP1(address=11))
-        with Master(wire.port(), parameters=PARAMETERS, echo=True, output_watchdog=None) as master:
+        with Master(wire.port(), parameters=PARAMETERS, echo=True, **OPTIONS) as master:
             master.add(YaskawaV7(address=11))
             master.operate()
             until(lambda: master.statistics.tokens > 50)

@@ -34,7 +34,7 @@ def ms(seconds: float) -> str:
 def text(found: Calibration) -> str:
     lines = [f"{found.port} at {found.baudrate / 1000:g} kbit/s, by {found.by}, {found.samples} times, on {found.machine}", "",
              f"  heard late by       {ms(found.mean)} in the mean, 99 % within {ms(found.p99)}, at most {ms(found.worst)}",
-             f"  allowance           {ms(found.allowance)}, twice the worst; Master(..., allowance={found.allowance:g})"]
+             f"  allowance           {ms(found.allowance)}, three times the worst; Master(..., allowance={found.allowance:g})"]
     if found.rate is not None:
         off = (found.rate / float(BusParameters.default(found.baudrate).rate) - 1) * 100
         lines.append(f"  rate                {found.rate / 1000:.4g} kbit/s measured, {off:+.2f} %"
