@@ -12,17 +12,20 @@ import inspect
 import os
 import re
 import tomllib
-from collections.abc import Callable, Iterable, Mapping
-from functools import partial
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import Any
 
 from dpmaster import _arguments
+from dpmaster.bus import direction_code
 from dpmaster.drives import PROFILES as DRIVES
 from dpmaster.errors import ConfigurationError
+from dpmaster.gsd import GSD
 from dpmaster.master import Master
 from dpmaster.parameters import BusParameters
-from dpmaster.realtime import Realtime
+from dpmaster.realtime import Realtime, wished
 from dpmaster.signals import Signal, Signals
 from dpmaster.station import Station
 from dpmaster.timing import PROFILES, Slave, Timing, plan
@@ -104,38 +107,61 @@ class _Source:
             raise ConfigurationError(f"{path}: {error.strerror or error}: give the path of a bus file") from None
         try:
             self.tables: Table = tomllib.loads(self.text)
-        except tomllib.TOMLDecodeError as error:
+        except (ValueError, RecursionError) as error:  # a number of 5000 digits is a plain ValueError
             what, _, where = str(error).partition(" (at ")
             line = where.partition("line ")[2].partition(",")[0] or str(self.text.count("\n") + 1)
             raise ConfigurationError(f"{path}:{line}: {what}: this is no TOML") from None
 
+    @cached_property
+    def places(self) -> dict[Key, int]:
+        """The line on which each key begins. tomllib keeps no places, but every statement of a file is a file, too."""
+        places: dict[Key, int] = {}
+        arrays: Counter[Key] = Counter()
+        table: Key = ()
+        statement, begin = "", 0
+        for line, text in enumerate(self.text.split("\n"), 1):
+            begin = begin if statement else line
+            statement += text + "\n"
+            try:
+                found = tomllib.loads(statement)
+            except tomllib.TOMLDecodeError:  # its value goes on
+                continue
+            if statement.lstrip().startswith("["):
+                table = _header(found, arrays)
+                keys: Iterable[Key] = (table[:n] for n in range(1, len(table) + 1))
+            else:
+                keys = _keys(found, table)
+            for key in keys:
+                places.setdefault(key, begin)
+            statement = ""
+        return places
+
     def line(self, key: Key) -> int:
-        """The line on which a key begins; of one that is missing, that of its table.
-
-        tomllib keeps no places, but the beginning of a file up to any line is a file, too, unless a value goes on there: the
-        key stands behind the last of those that do not have it.
-        """
-        lines = self.text.splitlines()
-        for length in range(len(key), 0, -1):
-            last = 0
-            for n in range(1, len(lines) + 1):
-                try:
-                    table: Any = tomllib.loads("\n".join(lines[:n]))
-                except tomllib.TOMLDecodeError:
-                    continue
-                if _has(table, key[:length]):
-                    return next(i for i in range(last, n) if lines[i].strip() and not lines[i].lstrip().startswith("#")) + 1
-                last = n
-        return 1
+        """The line on which a key begins; of one that is missing, that of its table."""
+        return next((self.places[key[:n]] for n in range(len(key), 0, -1) if key[:n] in self.places), 1)
 
 
-def _has(table: Any, key: Key) -> bool:
-    for part in key:
-        try:
-            table = table[part]
-        except (KeyError, IndexError, TypeError):
-            return False
-    return True
+def _header(found: Table, arrays: Counter[Key]) -> Key:
+    """The table that a header opens, out of what the header alone makes; `arrays` counts those with two brackets."""
+    table: Key = ()
+    while found:
+        [(name, inner)] = found.items()
+        table += (name,)
+        if isinstance(inner, list):
+            arrays[table] += 1
+            inner = inner[0]
+        if table in arrays:
+            table += (arrays[table] - 1,)
+        found = inner
+    return table
+
+
+def _keys(value: Any, key: Key) -> Iterator[Key]:
+    if key:
+        yield key
+    entries = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for name, inner in entries:
+        yield from _keys(inner, (*key, name))
 
 
 def _shown(key: Key) -> str:
@@ -150,6 +176,7 @@ class _Loader:
         self.source = _Source(path)
         self.works = works
         self.faults: list[tuple[int, str]] = []
+        self.gsd = cache(GSD.load)  # a bus often has several of one device, and some files have a megabyte
 
     def fault(self, key: Key, text: object) -> None:
         line = self.source.line(key)
@@ -172,13 +199,14 @@ class _Loader:
 
     # ---- small things
 
-    def known(self, key: Key, table: Table, names: Iterable[str]) -> None:
+    def known(self, key: Key, table: Table, names: Iterable[str]) -> bool:
         names = list(names)
-        for name in table:
-            if name not in names:
-                near = difflib.get_close_matches(name, names, 1)
-                rest = f"did you mean {near[0]}?" if near else f"known are {', '.join(sorted(names))}"
-                self.fault((*key, name), f"no such key: {rest}")
+        strange = [name for name in table if name not in names]
+        for name in strange:
+            near = difflib.get_close_matches(name, names, 1)
+            rest = f"did you mean {near[0]}?" if near else f"known are {', '.join(sorted(names))}"
+            self.fault((*key, name), f"no such key: {rest}")
+        return not strange
 
     def table(self, key: Key, value: Any) -> Table:
         if isinstance(value, dict):
@@ -214,8 +242,11 @@ class _Loader:
         self.known(("bus",), bus, [*_MASTER, *_PLAN, "parameters"])
         options = {name: self.typed(("bus", name), bus[name], _MASTER[name]) for name in bus if name in _MASTER}
         realtime = options.get("realtime")
-        if isinstance(realtime, dict):
+        if isinstance(realtime, dict) and self.known(("bus", "realtime"), realtime, _keywords(Realtime)):
             options["realtime"] = self.attempt(("bus", "realtime"), lambda: Realtime(**realtime))
+        elif not isinstance(realtime, dict):
+            self.attempt(("bus", "realtime"), lambda: wished(realtime))
+        self.attempt(("bus", "direction"), lambda: direction_code(options.get("direction")))
         if bus:
             self.attempt(("bus",), lambda: BusParameters.default(options.get("baudrate", 500_000)), bus)
             checked = _keywords(Master.check_options)
@@ -225,12 +256,15 @@ class _Loader:
     def timing(self, bus: Table, options: Table, stations: list[Station]) -> Timing | None:
         """Bus parameters of this bus; what will not work is a fault."""
         changes = self.table(("bus", "parameters"), bus.get("parameters", {}))
+        self.known(("bus", "parameters"), changes, _keywords(BusParameters))
         ring = options.get("ring") is True
         given = {name: bus[name] for name in _PLAN if name in bus}
         timing: Timing | None = self.attempt(("bus",), lambda: plan(
             options.get("baudrate", 500_000), [Slave.of(station) for station in stations if station.active],
-            addresses=(options.get("address", 1),), ring=ring, profile=options.get("profile") or _profile(options.get("port")),
+            addresses=(options.get("address", 1),), ring=ring, profile=options.get("profile", _profile(options.get("port"))),
             allowance=options.get("allowance"), cycle_time=options.get("cycle_time"), changes=changes, **given), bus)
+        if len(stations) > options.get("max_stations", len(stations)):
+            self.fault(("bus", "max_stations"), f"{options['max_stations']}: the file has {len(stations)} stations")
         for finding in timing.findings if timing else ():
             if finding.fatal and self.works:
                 self.fault(("bus",), f"{finding.text}; {finding.remedy}")
@@ -243,16 +277,16 @@ class _Loader:
             self.fault(("station",), "write [[station]], with two brackets, above each of them")
             return []
         found = []
-        seen: dict[int, int] = {}
+        seen: dict[int | str, int] = {}
         for at, table in enumerate(given):
             key = ("station", at)
             station = self.station(key, table)
             if station is None:
                 continue
-            if station.address in seen:
-                first = _shown(("station", seen[station.address]))
-                self.fault((*key, "address"), f"{station.address} is that of {first} already: each needs its own")
-            seen.setdefault(station.address, at)
+            for name, value in (("address", station.address), ("name", station.name)):
+                if seen.setdefault(value, at) != at:
+                    first = _shown(("station", seen[value]))
+                    self.fault((*key, name), f"{value!r} is that of {first} already: each needs its own")
             signals = self.attempt(key, partial(self.signals, key, table, station))
             if signals is not None:
                 station.signals = signals
@@ -281,13 +315,12 @@ class _Loader:
 
     def by_gsd(self, key: Key, table: Table) -> Station | None:
         """Step by step, so that a fault is told at the key it is in."""
-        from dpmaster.gsd import GSD
-
         self.known(key, table, ("address", "inputs", "outputs", *_GSD, *_STATION))
-        if not isinstance(table["gsd"], str):
-            self.fault((*key, "gsd"), f"{table['gsd']!r}: the path of a GSD file, in quotes")
-            return None
-        gsd = self.attempt((*key, "gsd"), lambda: GSD.load(
+        for name in ("gsd", "encoding"):
+            if not isinstance(table.get(name, ""), str):
+                self.fault((*key, name), f"{table[name]!r}: a text in quotes")
+                return None
+        gsd = self.attempt((*key, "gsd"), lambda: self.gsd(
             self.source.path.parent / table["gsd"], encoding=table.get("encoding")))
         modules, names = table.get("modules"), table.get("names")
         if gsd is None or self.attempt((*key, "modules"), lambda: gsd.configure(modules)) is None:
@@ -307,10 +340,10 @@ class _Loader:
         if drive is None:
             self.fault((*key, "drive"), f"{table['drive']!r}: one of {', '.join(DRIVES)}")
             return None
-        takes = _keywords(drive)
-        self.known(key, table, ("drive", "inputs", "outputs", *(name for name in takes if name != "options"), *_STATION))
-        options = {name: self.typed((*key, name), value, takes.get(name) or _STATION[name]) for name, value in table.items()
-                   if name in takes or name in _STATION}
+        rest = any(p.kind == p.VAR_KEYWORD for p in inspect.signature(drive).parameters.values())
+        takes = (_STATION if rest else {}) | _keywords(drive)
+        self.known(key, table, ("drive", "inputs", "outputs", *takes))
+        options = {name: self.typed((*key, name), value, takes[name]) for name, value in table.items() if name in takes}
         station: Station | None = self.attempt(key, lambda: drive(**options), table)
         return station
 

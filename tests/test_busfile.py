@@ -3,16 +3,23 @@
 
 from __future__ import annotations
 
+import functools
+import inspect
 import json
 import re
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+import time
+import tomllib
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
-from dpmaster import ConfigurationError, Master, PortError, StationState, cli
+from dpmaster import ConfigurationError, Master, PortError, Station, StationState, cli
 from dpmaster.busfile import BusFile
 from dpmaster.drives import YaskawaV7
 from dpmaster.emulator import Segment
@@ -168,10 +175,22 @@ FAULTS = [  # what is changed, and the beginning of what is said of it: line and
     ('output_watchdog = "off"', "output_watchdog = 0", r":5: bus\.output_watchdog: output_watchdog 0 s: above 0"),
     ('output_watchdog = "off"', 'echo = "yes"', r":5: bus\.echo: 'yes': true or false"),
     ('output_watchdog = "off"', "realtime = {priority = 100}", r":5: bus\.realtime: priority 100: 1 to 99"),
-    ("max_retry_limit = 3", "max_retries = 3", r":\d+: bus.*: bus parameter 'max_retries': one of "),
+    ('output_watchdog = "off"', "realtime = 3", r":5: bus\.realtime: realtime 3: a Realtime, True"),
+    ('output_watchdog = "off"', "realtime = {prio = 9}", r":5: bus\.realtime\.prio: no such key: did you mean priority\?"),
+    ('output_watchdog = "off"', 'direction = "rts"', r":5: bus\.direction: direction 'rts': 'rs485' or "),
+    ('output_watchdog = "off"', "max_stations = 2", r":5: bus\.max_stations: 2: the file has 3 stations"),
+    ('output_watchdog = "off"', 'profile = ""', r":5: bus\.profile: profile '': one of uart"),
+    ("max_retry_limit = 3", "max_retries = 3", r":8: bus\.parameters\.max_retries: .*mean max_retry_limit\?"),
     ('drive = "v7"', 'drive = "v8"', r":13: station\[1\]\.drive: 'v8': one of v7"),
     ('drive = "v7"', "", r":10: station\[1\]: a station needs one of gsd, drive and ident_number, and has none"),
     ('configuration = "Basic data"', 'configuration = "Basic"', r":14: station\[1\]\.configuration: configuration 'Basic'"),
+    ('drive = "v7"', 'drive = "v7"\nresume = "hold"', r":14: station\[1\]\.resume: no such key: known are active, address, "),
+    ('name = "Valves"', 'name = "Pump"', r":18: station\[2\]\.name: 'Pump' is that of station\[1\] already"),
+    ("freeze = true", "encoding = 3", r":24: station\[2\]\.encoding: 3: a text in quotes"),
+    ("freeze = true", "alarms = true", r":24: station\[2\]\.alarms: alarms True: give a list of names"),
+    ("freeze = true", 'alarms = ["x"]', r":24: station\[2\]\.alarms: alarms: .* has no 'x': it has none"),
+    ("freeze = true", "dpv1 = 3", r":24: station\[2\]\.dpv1: dpv1 3: True, False"),
+    ('{"Out" = 1, "Level" = 2}', '["Out"]', r":21: station\[2\]\.names: names \['Out'\]: give a mapping, like "),
     ("address = 7", "address = 5", r":17: station\[2\]\.address: 5 is that of station\[1\] already"),
     ("address = 7", "address = 2", r":4: bus\.address: address 2 is there twice"),
     ("address = 7", "adress = 7", r":17: station\[2\]\.adress: no such key: did you mean address\?"),
@@ -192,6 +211,8 @@ FAULTS = [  # what is changed, and the beginning of what is said of it: line and
     ("[[station]]\naddress = 9", "[station.x]\naddress = 9", r":32: station\[2\]\.x: no such key"),
     ("# the pump room", "pumps = 1", r":1: pumps: no such key: known are bus, station"),
     ("address = 2", "address = ", r":4: Invalid value: this is no TOML"),
+    ("address = 2", "address = " + 5000 * "[", r":\d+: .*: this is no TOML"),
+    ("address = 2", "address = " + 5000 * "9", r":\d+: .*: this is no TOML"),
 ]
 
 
@@ -216,6 +237,51 @@ def test_lines_are_right_behind_values_of_several_lines(write: Callable[..., Pat
         BusFile.load(write(text, "2 words in", "2 words out"))
     with pytest.raises(ConfigurationError, match=r":26: station\[2\]\.parameters\.On failure: "):
         BusFile.load(write(text, '"reset"', '"other"'))
+
+
+def test_lines_are_right_behind_texts_with_odd_characters(write: Callable[..., Path]) -> None:
+    text = BUS.replace("the pump room", "the pump\u2028room").replace('"Pump"', '"Pu\x85mp"').replace('"%"', '"""\n%\n[x]\n"""')
+    with pytest.raises(ConfigurationError, match=r":33: station\[2\]\.outputs\.Drain: bit of 'Drain' 8"):
+        BusFile.load(write(text, "bit = 4", "bit = 8"))
+
+
+def test_faults_of_a_long_file_are_found_fast(write: Callable[..., Path]) -> None:
+    station = "[[station]]\naddress = {0}\nident_number = 1\nconfiguration = \"10\"\n[station.inputs]\nx = {{offset = 1}}\n"
+    text = "".join(station.format(address) for address in range(2, 126))
+    begin = time.process_time()
+    with pytest.raises(ConfigurationError) as raised:
+        BusFile.load(write(text))
+    assert [int(line.split(":")[1]) for line in str(raised.value).splitlines()] == list(range(6, 6 * 125, 6))
+    assert time.process_time() - begin < 2, "a parse of the file for each line of it took minutes"
+
+
+def toml(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{toml(key)} = {toml(entry)}" for key, entry in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(toml, value)) + "]"
+    return json.dumps(value).replace("\x7f", "\\u007f")
+
+
+KEYS = sorted({*re.findall(r"\w+", BUS), *inspect.signature(Master).parameters, *inspect.signature(Station).parameters, "gsd",
+               "encoding", "alarms", "dpv1", "masters", "repeaters", "length", "others"})
+VALUES = st.recursive(
+    st.booleans() | st.integers(-2, 300) | st.integers() | st.floats(allow_nan=False, allow_infinity=False)
+    | st.text(st.characters(exclude_categories=["Cs"]), max_size=5) | st.sampled_from(KEYS),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(KEYS), inner, max_size=3), max_leaves=6)
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(where=st.sampled_from([(), ("bus",), ("bus", "parameters"), ("station", 0), ("station", 1), ("station", 2),
+                              ("station", 1, "inputs", "Tank")]), key=st.sampled_from(KEYS), value=VALUES)
+def test_any_file_gives_a_bus_or_faults(write: Callable[..., Path], where: tuple[str | int, ...], key: str, value: Any) -> None:
+    tables = tomllib.loads(BUS)
+    functools.reduce(lambda table, part: table[part], where, tables)[key] = value
+    path = write("\n".join(f"{name} = {toml(table)}" for name, table in tables.items()))
+    try:
+        BusFile.load(path)
+    except ConfigurationError as error:
+        assert all(line.startswith(f"{path}:") for line in str(error).splitlines()), "each fault in a line, with its place"
 
 
 def test_files_that_are_none(tmp_path: Path) -> None:

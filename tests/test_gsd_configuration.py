@@ -394,7 +394,7 @@ def test_the_status_octets_of_dpv1(lines: str, options: dict[str, Any], octets: 
 
 
 def test_an_alarm_that_a_slave_does_not_have() -> None:
-    with pytest.raises(ConfigurationError, match="no alarm 'status': it has process"):
+    with pytest.raises(ConfigurationError, match="has no 'status': it has process"):
         GSD.parse(DPV1 + "Process_Alarm_supp = 1").configure(alarms=["status"])
 
 

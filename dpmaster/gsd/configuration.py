@@ -76,6 +76,8 @@ class Configuration:
         if self.fail_safe != device.fail_safe and (self.fail_safe or device.fail_safe_required):
             what = "it takes zeros in Clear, no empty telegrams" if self.fail_safe else "it requires it (Fail_Safe_required)"
             raise ConfigurationError(f"fail_safe={fail_safe}: {device.title} can not, its GSD file says: {what}")
+        if dpv1 not in (None, False, True):
+            raise ConfigurationError(f"dpv1 {dpv1!r}: True, False, or None: when the slave has MS1")
         self._dpv1 = dpv1
         self._alarms = self._alarm_bits(alarms)
         self._watchers: list[Callable[[bytes], None]] = []
@@ -188,10 +190,12 @@ class Configuration:
         bits = 0
         for name, bit in ALARMS.items():
             bits |= bit if getattr(self.device, f"{name}_alarm_required") else 0
+        if isinstance(alarms, str) or not isinstance(alarms, Iterable):
+            raise ConfigurationError(f"alarms {alarms!r}: give a list of names, of {', '.join(ALARMS)}")
         for name in alarms:
-            if name not in ALARMS or not getattr(self.device, f"{name}_alarm"):
+            if not isinstance(name, str) or name not in ALARMS or not getattr(self.device, f"{name}_alarm"):
                 there = ", ".join(known for known in ALARMS if getattr(self.device, f"{known}_alarm")) or "none"
-                raise ConfigurationError(f"{self.device.title} has no alarm {name!r}: it has {there}")
+                raise ConfigurationError(f"alarms: {self.device.title} has no {name!r}: it has {there}")
             bits |= ALARMS[name]
         return bits
 
@@ -263,12 +267,12 @@ def configure(device: Device, modules: Iterable[Chosen] | None, parameters: Mapp
     """See `GSD.configure`."""
     chosen = choose(device, default_modules(device) if modules is None else modules)
     labels = {}
-    for name, slot in (names or {}).items():
-        if slot not in dict(chosen):
-            raise ConfigurationError(f"{device.title}: the name {name!r} is for slot {slot}, which has no module")
+    for name, slot in _mapping("names", names, '{"Drive": 1}'):
+        if not isinstance(slot, int) or slot not in dict(chosen):
+            raise ConfigurationError(f"{device.title}: the name {name!r} is for slot {slot!r}, which has no module")
         labels[slot] = name
     configuration = Configuration(device, chosen, labels, dpv1=dpv1, fail_safe=fail_safe, alarms=alarms)
-    for name, setting in (parameters or {}).items():
+    for name, setting in _mapping("parameters", parameters, '{"Redundancy mode": "on"}'):
         if isinstance(setting, Mapping):
             place = configuration[int(name) if isinstance(name, str) and name.isdecimal() else name]
             for inner, value in setting.items():
@@ -276,6 +280,12 @@ def configure(device: Device, modules: Iterable[Chosen] | None, parameters: Mapp
         else:
             configuration.parameters[name] = setting
     return configuration
+
+
+def _mapping(what: str, given: Mapping[Any, Any] | None, example: str) -> Iterable[tuple[Any, Any]]:
+    if given is not None and not isinstance(given, Mapping):
+        raise ConfigurationError(f"{what} {given!r}: give a mapping, like {example}")
+    return (given or {}).items()
 
 
 def choose(device: Device, modules: Iterable[Chosen]) -> list[tuple[int, Module]]:
