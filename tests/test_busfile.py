@@ -5,8 +5,14 @@ from __future__ import annotations
 
 import functools
 import inspect
+import io
 import json
+import logging
+import math
+import os
 import re
+import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -21,6 +27,7 @@ from hypothesis import strategies as st
 
 from dpmaster import ConfigurationError, Master, PortError, Station, StationState, cli
 from dpmaster.busfile import BusFile
+from dpmaster.cli.run import View, logged, numeral, picture
 from dpmaster.drives import YaskawaV7
 from dpmaster.emulator import Segment
 from dpmaster.emulator.cards import SIP1, GenericSlave
@@ -323,6 +330,86 @@ def test_run_as_json(write: Callable[..., Path], wire: Segment, capsys: pytest.C
     assert seen["stations"][1]["signals"] == {"Tank": 0.0, "Drain": False}
 
 
+def test_run_tells_of_diagnosis_in_the_makers_words(write: Callable[..., Path], capsys: pytest.CaptureFixture[str]) -> None:
+    path = write()
+    path.with_name("valve.gsd").write_text(GSD + 'Unit_Diag_Bit(3) = "Coil 4 burnt"\n', encoding="ascii")
+    with Segment() as wire:
+        valves = GenericSlave(7, 0x4321, [bytes.fromhex("20 51")], user_parameters=(0, 237), fail_safe=True, freeze=True)
+        valves.diagnosis(bytes((0x02, 0x08)))
+        for card in (SIP1(5), valves, GenericSlave(9, 0x1234, [bytes.fromhex("13 23")], user_parameters=(0, 237))):
+            wire.attach(card)
+        bus = BusFile.load(path)
+        with bus.master(wire.port()) as master:
+            master.operate()
+            assert "      diagnosis: device diagnosis: Coil 4 burnt" in picture(master, 100, math.inf)
+            assert "watchdog" not in "".join(picture(master, 100, math.inf)), "no trouble"
+            assert [line[:14] for line in picture(master, 100, 4)[1:]] == ["   7  Valves  ", "   5  Pump    ", "   9  station "]
+            assert picture(master, 100, 3)[1:] == [line for line in picture(master, 100, 4) if "Valves" in line] + [
+                "... and 2 more stations"], "those with something to tell come first"
+            assert all(len(line) <= 40 for line in picture(master, 40, math.inf))
+        assert cli.main(["run", str(path), "--port", wire.port(), "--seconds", "0.1", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out.splitlines()[-1])["stations"][1]["diagnosis"]
+    assert "ext_diag" in told["flags"] and told["octets"].endswith("43210208")
+    assert told["texts"][-1] == "device diagnosis: Coil 4 burnt"
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_what_is_logged_stays_above_the_picture(write: Callable[..., Path], wire: Segment,
+                                                monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    with Master.from_file(write(), port=wire.port()) as master:
+        master.operate()
+        terminal = Terminal()
+        view = View(terminal, as_json=False)
+        with logged(view):
+            view.show(master)
+            height = view.height
+            logging.getLogger("dpmaster.master").warning("%s is gone", "Pump\x1b[2J")
+            view.show(master)
+            seen = terminal.getvalue()
+            assert re.search(rf"\x1b\[{height}A\r\x1b\[J\r\d\d:\d\d:\d\d Pump\?\[2J is gone\x1b\[K\n\r/dev/pts/", seen), seen
+            view.show(master)
+            assert re.search(rf"\x1b\[{height}A\r/dev/pts/", terminal.getvalue()[len(seen) :]), "once, and then it stays"
+            monkeypatch.setattr(shutil, "get_terminal_size", lambda: os.terminal_size((40, 9)))
+            view.show(master)
+            assert "\x1b[H\x1b[2J" in terminal.getvalue(), "the terminal wrapped what was there: begin anew"
+
+
+def test_run_goes_on_when_the_port_comes_back(write: Callable[..., Path], tmp_path: Path) -> None:
+    """The adapter is pulled out and plugged in again; --set is given anew to what came back with zeros."""
+    link = tmp_path / "port"
+
+    def until_drained() -> None:
+        with Segment() as segment:
+            valves = segment.attach(GenericSlave(7, 0x4321, [bytes.fromhex("20 51")], user_parameters=(0, 237),
+                                                 fail_safe=True, freeze=True))
+            link.unlink(missing_ok=True)
+            link.symlink_to(segment.port())
+            if not running:
+                running.append(subprocess.Popen(program, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True))
+            deadline = time.monotonic() + 20
+            while valves.outputs != b"\x10" and time.monotonic() < deadline:
+                time.sleep(0.01)
+            assert valves.outputs == b"\x10"
+
+    text = BUS[: BUS.index("[[station]]")] + BUS[BUS.index("[[station]]\naddress = 7") : BUS.index("[[station]]\naddress = 9")]
+    path = write(text, 'port = "PORT"', f'port = "{link}"')
+    program = [sys.executable, "-m", "dpmaster", "run", str(path), "--set", "Valves.Drain=on"]
+    running: list[subprocess.Popen[str]] = []
+    try:
+        until_drained()
+        until_drained()
+    finally:
+        running[0].send_signal(signal.SIGINT)
+        _, said = running[0].communicate(timeout=20)
+    assert running[0].returncode == 0 and "Traceback" not in said
+    assert re.search(r"port: the port vanished\n(.*\n)*.*port works\n(.*\n)*.* Valves exchanges\n", said), said
+
+
 def test_run_goes_on_without_a_station(write: Callable[..., Path], capsys: pytest.CaptureFixture[str],
                                        monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("dpmaster.cli.run.START", 0.3)
@@ -343,6 +430,11 @@ def test_values_are_checked_before_the_port_is_opened(write: Callable[..., Path]
                                                       value: str, words: str) -> None:
     assert cli.main(["run", str(write()), "--set", value]) == 2
     assert words in capsys.readouterr().err
+
+
+def test_whole_numbers_are_taken_exactly() -> None:
+    texts = ("0xFFFFFFFFFFFFFFFF", "9007199254740993", "1e3", "0.5")
+    assert list(map(numeral, texts)) == [2**64 - 1, 2**53 + 1, 1000, 0.5]
 
 
 def test_check_only(write: Callable[..., Path], capsys: pytest.CaptureFixture[str]) -> None:
@@ -372,6 +464,11 @@ def test_timing_of_a_bus_file(write: Callable[..., Path], capsys: pytest.Capture
     assert found["parameters"]["max_tsdr"] == 200
     assert cli.main(["timing", "--file", str(write(BUS, "max_retry_limit = 3", "tsl = 100"))]) == 1
     assert "WILL NOT WORK: " in capsys.readouterr().out
+
+
+def test_timing_takes_a_file_or_options(write: Callable[..., Path], capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["timing", "--file", str(write()), "--baudrate", "500000", "--station", "3:1/1", "--min-tsdr", "11"]) == 2
+    assert "and --baudrate, --station, --min-tsdr: the file says all of the bus; change it there" in capsys.readouterr().err
 
 
 def test_a_station_of_gsd_config_can_be_pasted(write: Callable[..., Path], capsys: pytest.CaptureFixture[str]) -> None:

@@ -5,6 +5,9 @@ from __future__ import annotations
 
 import io
 import json
+import os
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -147,3 +150,22 @@ def test_what_config_prints_configures_the_same_station(name: str, capsys: pytes
     gsd = GSD.load(found["gsd"])  # type: ignore[arg-type]
     default, again = gsd.configure(), gsd.configure(found["modules"], found.get("parameters"))  # type: ignore[arg-type]
     assert (again.octets, again.user_parameters) == (default.octets, default.user_parameters)
+
+
+def test_a_makers_text_is_no_order_to_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "evil.gsd"
+    file.write_bytes(b'#Profibus_DP\nVendor_Name="Ev\x1b[2Jil"\nIdent_Number=1\nModule="a\x07\x85b" 0x10\nEndModule\n')
+    for command in (["show"], ["check"], ["config", "--address", "3"]):
+        cli.main(["gsd", *command, str(file), "--encoding", "latin-1"])
+        text = capsys.readouterr().out
+        assert not set(text) & set(map(chr, (*range(10), *range(11, 32), *range(127, 160)))), command
+    pasted = station(text)
+    assert pasted["modules"] == ["a\x07\x85b"] and pasted["encoding"] == "latin-1", "and what is pasted names the module"
+
+
+def test_a_terminal_without_the_characters(tmp_path: Path) -> None:
+    file = tmp_path / "umlaut.gsd"
+    file.write_bytes(b'#Profibus_DP\nVendor_Name="M\xfcller"\nIdent_Number=1\n')
+    shown = subprocess.run([sys.executable, "-m", "dpmaster", "gsd", "show", str(file)], capture_output=True, check=True,
+                           env=os.environ | {"PYTHONIOENCODING": "ascii"})
+    assert shown.stdout.startswith(b"M\\xfcller\n")

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import io
 import os
 import signal
 import sys
@@ -55,6 +56,8 @@ def _terminate(signum: int, frame: FrameType | None) -> None:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code; wrong arguments leave by SystemExit(2), as argparse does it."""
+    if isinstance(sys.stdout, io.TextIOWrapper):  # a maker's text may have characters that the terminal does not
+        sys.stdout.reconfigure(errors="backslashreplace")
     args = _parser().parse_args(argv)
     # SIGINT too: a shell script starts what it puts behind `&` with it ignored, and "until SIGINT" would be never.
     handlers = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: _terminate}

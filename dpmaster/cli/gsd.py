@@ -12,6 +12,7 @@ import textwrap
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
+from dpmaster.cli._terminal import printable
 from dpmaster.errors import ConfigurationError
 from dpmaster.gsd import GSD, Configuration, Device, Module, Parameters, Severity
 
@@ -170,7 +171,7 @@ def _show(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps(as_object(gsd), ensure_ascii=False))
     else:
-        print("\n".join(_whole(gsd, args)))
+        print("\n".join(map(printable, "\n".join(_whole(gsd, args)).split("\n"))))
     return 0
 
 
@@ -201,7 +202,7 @@ def _check(args: argparse.Namespace) -> int:
             continue
         for finding in findings:
             if finding.severity is not Severity.NOTE or not args.quiet:
-                print(f"{name}:{finding}" if finding.line else f"{name}: {finding}")
+                print(printable(f"{name}:{finding}" if finding.line else f"{name}: {finding}"))
         worst = (Severity.ERROR, Severity.WARNING) if args.strict else (Severity.ERROR,)
         bad += any(finding.severity in worst for finding in findings)
     return 1 if bad else 0
@@ -226,7 +227,7 @@ def _entry(text: str) -> Any:
 
 
 def _ask_modules(gsd: GSD) -> list[Any]:
-    print("\n".join([*_slots(gsd), *_modules(gsd, True)]), file=sys.stderr)
+    print("\n".join(map(printable, [*_slots(gsd), *_modules(gsd, True)])), file=sys.stderr)
     default = gsd.default_modules()
     chosen: list[Any] = []
     while True:
@@ -243,7 +244,7 @@ def _ask_modules(gsd: GSD) -> list[Any]:
 
 def _ask_parameters(configuration: Configuration) -> None:
     for whose, parameters in _all_parameters(configuration):
-        print("\n".join(_parameters(f"Parameters of {whose}", parameters)), file=sys.stderr)
+        print("\n".join(map(printable, _parameters(f"Parameters of {whose}", parameters))), file=sys.stderr)
     while text := _ask("Change a parameter, NAME=VALUE or SLOT:NAME=VALUE (nothing: done):"):
         try:
             _set(configuration, text)
@@ -290,7 +291,7 @@ def _config(args: argparse.Namespace) -> int:
         _set(configuration, text)
     if asked and not args.parameter:
         _ask_parameters(configuration)
-    print("\n".join(station_toml(args.file, address, modules, configuration, args.all)))
+    print("\n".join(station_toml(args.file, address, modules, configuration, args.all, args.encoding)))
     return 0
 
 
@@ -299,7 +300,7 @@ def _toml(value: Any) -> str:
         return "{ " + ", ".join(f"{_toml(key)} = {_toml(entry)}" for key, entry in value.items()) + " }"
     if isinstance(value, list | tuple):
         return "[" + ", ".join(map(_toml, value)) + "]"
-    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return re.sub("[\x7f-\x9f]", lambda found: f"\\u{ord(found[0]):04x}", json.dumps(value, ensure_ascii=False))
 
 
 def _named(gsd: Device, entry: Any) -> Any:
@@ -315,7 +316,7 @@ def _named(gsd: Device, entry: Any) -> Any:
 
 
 def station_toml(file: str, address: int, modules: list[Any], configuration: Configuration,
-                 every: bool = False) -> Iterator[str]:
+                 every: bool = False, encoding: str | None = None) -> Iterator[str]:
     """The lines of ``[[station]]``. Parameters at their default are left out, unless `every`."""
     gsd = configuration.device
     parameters: dict[str, Any] = dict(configuration.parameters if every else configuration.parameters.changed)
@@ -323,14 +324,16 @@ def station_toml(file: str, address: int, modules: list[Any], configuration: Con
         settings = dict(place.parameters if every else place.parameters.changed)
         if settings:
             parameters[str(place.slot)] = settings
-    yield f"# {gsd.title}, ident {gsd.ident_number or 0:04X}h"
+    yield printable(f"# {gsd.title}, ident {gsd.ident_number or 0:04X}h")
     for place in configuration:
         spans = [(place.inputs, "inputs"), (place.outputs, "outputs")]
         data = [f"{what} {span.offset} to {span.offset + span.length - 1}" for span, what in spans if span.length]
-        yield f"#   slot {place.slot}, {place.name}: {', '.join(data) or 'no data'}"
-    yield from (f"#   {note}" for note in configuration.notes)
-    yield from ("[[station]]", f"address = {address}", f"gsd = {_toml(file)}",
-                f"modules = {_toml([_named(gsd, entry) for entry in modules])}")
+        yield printable(f"#   slot {place.slot}, {place.name}: {', '.join(data) or 'no data'}")
+    yield from (printable(f"#   {note}") for note in configuration.notes)
+    yield from ("[[station]]", f"address = {address}", f"gsd = {_toml(file)}")
+    if encoding:
+        yield f"encoding = {_toml(encoding)}"
+    yield f"modules = {_toml([_named(gsd, entry) for entry in modules])}"
     if parameters:
         yield from _parameter_lines(parameters)
 

@@ -1,22 +1,31 @@
 # SPDX-License-Identifier: MIT
 """``dpmaster run FILE``: the bus that a file describes, exchanged until Ctrl-C, with a live view of its stations.
 
-Outputs are zeros but for what ``--set`` says. It shows what `Master.from_file` makes, and calls nothing else.
+Outputs are zeros but for what ``--set`` says. It shows what `Master.from_file` makes, and calls nothing else. A station or the
+port may come and go meanwhile: the master takes them back by itself, and what happened stays above the picture.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import logging
+import math
 import shutil
 import sys
+import textwrap
 import time
+from collections import deque
 from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import chain
 from typing import Any, TextIO
 
-from dpmaster import Master, Station, StationState
+from dpmaster import Diagnosis, EventKind, Events, Master, Station, StationState
 from dpmaster.busfile import BusFile
-from dpmaster.errors import ConfigurationError, DPTimeout, StationError
+from dpmaster.cli._terminal import printable
+from dpmaster.diagnosis import Diag
+from dpmaster.errors import ConfigurationError, DPTimeout, NotOperatingError, StationError
 from dpmaster.signals import Value
 
 NAME = "run"
@@ -26,6 +35,7 @@ REDRAW = 0.25  # s between two pictures on a terminal
 LINE = 1.0  # s between two looks that go line by line
 START = 5.0  # s for the stations to come
 COLUMNS = 120
+TROUBLE = Diag.EXT_DIAG | Diag.STAT_DIAG | Diag.EXT_DIAG_OVERFLOW
 OCTETS = 16  # of a process image that one line has room for
 
 
@@ -42,24 +52,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 # ---- outputs by name
 
 
+def numeral(text: str) -> int | float:
+    """A whole one exactly: 64 bits are more than a float holds."""
+    try:
+        return int(text, 0)
+    except ValueError:
+        number = float(text)
+        return int(number) if number.is_integer() else number
+
+
 def assignments(texts: list[str], stations: tuple[Station, ...]) -> list[tuple[Station, dict[str, Value]]]:
     """What --set says, by station; checked before the bus is touched."""
     found: dict[Station, dict[str, Value]] = {}
     for text in texts:
         where, equals, value = text.partition("=")
-        station = next((s for s in stations if where.startswith((f"{s.name}.", f"{s.address}."))), None)
-        if station is None or not equals:
+        prefixes = {f"{which}.": s for s in stations for which in (s.address, s.name)}
+        prefix = max((prefix for prefix in prefixes if where.startswith(prefix)), key=len, default=None)
+        if prefix is None or not equals:
             names = ", ".join(s.name for s in stations)
             raise ConfigurationError(f"--set {text}: write STATION.SIGNAL=VALUE; the stations are {names}")
-        name = where.removeprefix(f"{station.name}.").removeprefix(f"{station.address}.")
+        station, name = prefixes[prefix], where.removeprefix(prefix)
         signal = station.signals.signal(name)
         try:
-            number: Value = {"on": True, "off": False}[value] if signal.type == "bool" else float(value)
+            number: Value = {"on": True, "off": False}[value] if signal.type == "bool" else numeral(value)
         except (KeyError, ValueError):
             takes = "on or off" if signal.type == "bool" else "a number"
             raise ConfigurationError(f"--set {text}: {name} takes {takes}") from None
-        if isinstance(number, float) and number.is_integer():
-            number = int(number)
         signal.put(number)
         if signal.direction != "outputs":
             raise ConfigurationError(f"--set {text}: {name} is an input: only outputs can be set")
@@ -81,14 +99,25 @@ def state(station: Station) -> str:
     return f"{station.state.name}: {trouble}" if trouble else station.state.name
 
 
+def explained(station: Station, diagnosis: Diagnosis) -> tuple[str, ...]:
+    """In the maker's words where the station has a GSD file."""
+    texts = getattr(getattr(station, "gsd", None), "texts", None)
+    return diagnosis.explain() if texts is None else diagnosis.explain(texts)
+
+
+def troubles(station: Station) -> tuple[str, ...]:
+    """What an exchanging station reports; its watchdog, Sync and Freeze are as they were asked for."""
+    diagnosis = station.diagnosis
+    if diagnosis is None or station.state != StationState.DATA or not (diagnosis.extended or diagnosis.flags & TROUBLE):
+        return ()
+    told = explained(station, diagnosis)[len(diagnosis.texts) :]
+    return told or diagnosis.texts
+
+
 def rows(station: Station) -> Iterator[str]:
     """A station's lines: who and how it is, then its values, or its octets where no value has a name."""
     yield f"{station.address:4}  {station.name:<20} {state(station)}"
-    diagnosis = station.diagnosis
-    if diagnosis is not None and diagnosis.extended and station.state == StationState.DATA:
-        texts = getattr(getattr(station, "gsd", None), "texts", None)
-        told = diagnosis.explain() if texts is None else diagnosis.explain(texts)
-        yield from (f"{'':6}diagnosis: {text}" for text in told)
+    yield from (f"{'':6}diagnosis: {text}" for text in troubles(station))
     if not station.signals:
         yield f"{'':6}in  {octets(station.inputs)}"
         yield f"{'':6}out {octets(station.outputs)}"
@@ -96,12 +125,26 @@ def rows(station: Station) -> Iterator[str]:
     yield from (f"{'':6}{'   '.join(values[at : at + 4])}" for at in range(0, len(values), 4))
 
 
-def picture(master: Master) -> list[str]:
+def wrapped(line: str, width: int) -> list[str]:
+    line = printable(line)
+    return textwrap.wrap(line, max(width, 20), subsequent_indent=" " * 8) if len(line) > width else [line]
+
+
+def picture(master: Master, width: int, room: float) -> list[str]:
+    """All of it; or where there is not so much room, a line for each station, those with something to tell first."""
     counts = master.statistics
     rate = float(master.parameters.rate) / 1000
     head = (f"{master.port}, {rate:g} kbit/s, {master.mode.name.title()}: cycle {counts.cycle}, "
             f"{counts.cycle_last * 1000:.2f} ms, {counts.repetitions} repetitions, {counts.unanswered} unanswered")
-    return [head, *(line for station in master.stations for line in rows(station))]
+    blocks = [list(rows(station)) for station in master.stations]
+    lines = [part for line in chain([head], *blocks) for part in wrapped(line, width)]
+    if len(lines) <= room:
+        return lines
+    well = [station.state == StationState.DATA and not troubles(station) for station in master.stations]
+    firsts = [block[0] for _, block in sorted(zip(well, blocks, strict=True), key=lambda entry: entry[0])]
+    if len(firsts) >= room:
+        firsts[int(room) - 2 :] = [f"... and {len(firsts) - int(room) + 2} more stations"]
+    return [wrapped(line, width)[0] for line in (head, *firsts)]
 
 
 def as_object(master: Master) -> dict[str, Any]:
@@ -111,68 +154,127 @@ def as_object(master: Master) -> dict[str, Any]:
         "cycle_last": counts.cycle_last, "repetitions": counts.repetitions, "unanswered": counts.unanswered,
         "stations": [
             {"address": s.address, "name": s.name, "state": s.state.name.lower(), "valid": s.frame.valid, "reason": s.reason,
-             "inputs": s.inputs.hex(), "outputs": s.outputs.hex(), "signals": dict(s.signals)} for s in master.stations],
+             "inputs": s.inputs.hex(), "outputs": s.outputs.hex(), "signals": dict(s.signals),
+             "diagnosis": None if s.diagnosis is None else diagnosis_object(s, s.diagnosis)} for s in master.stations],
     }
 
 
-class View:
-    """Pictures, each in the place of the last one on a terminal; else line by line, what changed."""
+def diagnosis_object(station: Station, diagnosis: Diagnosis) -> dict[str, Any]:
+    return {"number": diagnosis.number, "octets": diagnosis.octets.hex(),
+            "flags": [flag.name.lower() for flag in diagnosis.flags if flag.name], "texts": list(explained(station, diagnosis))}
+
+
+class View(logging.Handler):
+    """Pictures, each in the place of the last one on a terminal; else line by line, what changed.
+
+    What the library logs goes above the picture, where it stays; without a picture, to stderr.
+    """
 
     def __init__(self, stream: TextIO, as_json: bool) -> None:
+        super().__init__(logging.WARNING)
         self.stream = stream
         self.json = as_json
         self.moving = stream.isatty() and not as_json
         self.height = 0
+        self.size = shutil.get_terminal_size()
         self.told: Any = None
+        self.news: deque[str] = deque()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.tell(record.getMessage())
+
+    def tell(self, text: str) -> None:
+        line = f"{time.strftime('%H:%M:%S')} {text}"
+        if self.moving and sys.stderr.isatty():
+            self.news.append(line)
+        else:
+            print(line, file=sys.stderr, flush=True)
 
     def show(self, master: Master) -> None:
         if self.json:
-            found = as_object(master)
-            print(json.dumps(found), file=self.stream, flush=True)
+            print(json.dumps(as_object(master)), file=self.stream, flush=True)
         elif self.moving:
-            self._draw(picture(master))
+            self._draw(master)
         else:
-            lines = [line for station in master.stations for line in rows(station)]
-            if lines != self.told:
-                print("\n".join([picture(master)[0], *lines]), file=self.stream, flush=True)
-                self.told = lines
+            lines = picture(master, COLUMNS, math.inf)
+            if lines[1:] != self.told:
+                print("\n".join(lines), file=self.stream, flush=True)
+                self.told = lines[1:]
 
-    def _draw(self, lines: list[str]) -> None:
+    def _draw(self, master: Master) -> None:
         size = shutil.get_terminal_size()
-        width, room = min(COLUMNS, size.columns - 1), size.lines - 1
-        if len(lines) > room:
-            lines = [*lines[: room - 1], f"... {len(lines) - room + 1} more lines; a taller terminal shows them"]
-        up = f"\x1b[{self.height}A" if self.height else ""
-        print(up + "".join(f"\r{line[:width]}\x1b[K\n" for line in lines) + "\x1b[J", end="", file=self.stream, flush=True)
+        width = min(COLUMNS, size.columns - 1)
+        begin = f"\x1b[{self.height}A\r\x1b[J" if self.height and self.news else f"\x1b[{self.height}A" if self.height else ""
+        if size != self.size:  # the terminal has wrapped the old lines anew, nobody knows where
+            begin, self.size = "\x1b[H\x1b[2J", size
+        news = [part for _ in range(len(self.news)) for part in wrapped(self.news.popleft(), width)]
+        lines = picture(master, width, size.lines - 1)
+        text = "".join(f"\r{line}\x1b[K\n" for line in [*news, *lines])
+        print(f"{begin}{text}\x1b[J", end="", file=self.stream, flush=True)
         self.height = len(lines)
+
+
+@contextmanager
+def logged(view: View) -> Iterator[None]:
+    log = logging.getLogger("dpmaster")
+    log.addHandler(view)
+    try:
+        yield
+    finally:
+        log.removeHandler(view)
+        for line in view.news:  # what leaving the bus had to say
+            print(line, file=sys.stderr)
 
 
 # ---- the run
 
 
-def exchange(master: Master, args: argparse.Namespace, wanted: list[tuple[Station, dict[str, Value]]]) -> None:
-    view = View(sys.stdout, args.json)
-    pace = REDRAW if view.moving else LINE
-    if master.output_watchdog is not None:
-        pace = min(pace, master.output_watchdog / 3)
+def start(master: Master, view: View) -> None:
     try:
         master.operate(START)
     except (DPTimeout, StationError) as error:
-        if not any(station.state == StationState.DATA for station in master.stations):
+        if master.auto_clear or not any(station.state == StationState.DATA for station in master.stations):
             raise
-        print(f"dpmaster run: going on without some stations: {error}", file=sys.stderr)
+        view.tell(f"going on without some stations: {error}")
         master.operate(0.1, partial=True)
-    end = time.monotonic() + (args.seconds if args.seconds is not None else float("inf"))
+
+
+def returns(events: Events, master: Master) -> Iterator[str]:
+    """Good news, which are not logged as warnings."""
+    while (event := events.take(0)) is not None:
+        if event.kind == EventKind.PORT and not event.a:
+            yield f"{master.port}: {event}"
+        if event.kind == EventKind.STATE and event.a == StationState.DATA and event.address is not None:
+            yield f"{master[event.address].name} exchanges"
+
+
+def exchange(master: Master, args: argparse.Namespace, wanted: list[tuple[Station, dict[str, Value]]], view: View) -> None:
+    pace = REDRAW if view.moving else LINE
+    if master.output_watchdog is not None:
+        pace = min(pace, master.output_watchdog / 3)
+    start(master, view)
+    events = master.events()
+    end = time.monotonic() + (args.seconds if args.seconds is not None else math.inf)
     given: dict[Station, int] = {}
     while (now := time.monotonic()) < end:
         master.feed()
         for station, values in wanted:  # anew after each return of the station: what was written before is void
             starts = station.statistics.starts
-            if station.state == StationState.DATA and given.get(station) != starts:
-                station.signals.commit(values)
+            if station.state == StationState.DATA and given.get(station) != starts and order(station, values):
                 given[station] = starts
+        for text in returns(events, master):
+            view.tell(text)
         view.show(master)
         time.sleep(max(0.0, min(pace, end - now)))
+
+
+def order(station: Station, values: dict[str, Value]) -> bool:
+    """Set outputs, unless the output watchdog holds them safe: the terminal stood still for too long."""
+    try:
+        station.signals.commit(values)
+    except NotOperatingError:
+        return False
+    return True
 
 
 def run(args: argparse.Namespace) -> int:
@@ -186,9 +288,10 @@ def run(args: argparse.Namespace) -> int:
             print(f"{station.address:4}  {station.name:<20} ident {station.ident_number:04X}h, {lengths}")
         print(f"{args.file}: {len(bus.stations)} stations, cycle {bus.timing.cycle.steady * 1000:.3g} ms: nothing wrong")
         return 0
-    with bus.master(args.port) as master:
+    view = View(sys.stdout, args.json)
+    with logged(view), bus.master(args.port) as master:
         try:
-            exchange(master, args, wanted)
+            exchange(master, args, wanted, view)
         except KeyboardInterrupt:  # SIGTERM too: how it is meant to end; the `with` gives stop words, then Clear, then releases
             pass
     return 0

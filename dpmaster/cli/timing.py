@@ -7,6 +7,7 @@ Prints what `dpmaster.timing.plan` says; touches no port.
 from __future__ import annotations
 
 import argparse
+import inspect
 import json
 import re
 import textwrap
@@ -99,20 +100,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = STATION
     parser.add_argument("--file", metavar="FILE", help="a bus file, in place of the other options")
-    parser.add_argument("--baudrate", type=int, default=500_000, metavar="B", help="bit/s (default 500000)")
-    parser.add_argument("--station", type=stations, action="extend", default=[], metavar="STATION", help="a slave, see below")
-    parser.add_argument("--address", type=addresses, default=(1,), metavar="N[,N]", help="of our master or masters (default 1)")
-    parser.add_argument("--masters", type=int, default=1, metavar="N", help="how many masters the bus has (default 1)")
-    parser.add_argument("--ring", action="store_true", help="other masters may come, though there are none now")
+    parser.add_argument("--baudrate", type=int, metavar="B", help="bit/s (default 500000)")
+    parser.add_argument("--station", dest="slaves", type=stations, action="extend", metavar="STATION",
+                        help="a slave, see below")
+    parser.add_argument("--address", dest="addresses", type=addresses, metavar="N[,N]",
+                        help="of our master or masters (default 1)")
+    parser.add_argument("--masters", type=int, metavar="N", help="how many masters the bus has (default 1)")
+    parser.add_argument("--ring", action="store_true", default=None, help="other masters may come, though there are none now")
     parser.add_argument("--others", type=milliseconds, metavar="MS", help="time each other master holds the token (as ours)")
-    parser.add_argument("--profile", choices=list(PROFILES), default="uart", help="kind of our port (default uart)")
+    parser.add_argument("--profile", choices=list(PROFILES), help="kind of our port (default uart)")
     parser.add_argument("--allowance", type=milliseconds, metavar="MS", help="how late our host wakes (the profile's)")
-    parser.add_argument("--repeaters", type=int, default=0, metavar="N", help="most repeaters between two stations")
-    parser.add_argument("--repeater-delay", type=int, default=REPEATER_DELAY, metavar="TBIT",
+    parser.add_argument("--repeaters", type=int, metavar="N", help="most repeaters between two stations")
+    parser.add_argument("--repeater-delay", type=int, metavar="TBIT",
                         help=f"of each of them, as its maker says (default {REPEATER_DELAY})")
-    parser.add_argument("--chunk", type=float, default=0.0, metavar="MS",
+    parser.add_argument("--chunk", type=milliseconds, metavar="MS",
                         help="ms between two deliveries of a USB adapter, its latency timer: 1 or 16")
-    parser.add_argument("--length", type=float, default=0.0, metavar="M", help="metres of cable between the ends")
+    parser.add_argument("--length", type=float, metavar="M", help="metres of cable between the ends")
     parser.add_argument("--cycle-time", type=milliseconds, metavar="MS", help="from one cycle's start to the next one's")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     group = parser.add_argument_group("bus parameters, in place of the computed ones")
@@ -257,16 +260,20 @@ def as_object(t: Timing) -> dict[str, object]:
 
 
 def described(args: argparse.Namespace) -> Timing:
-    """The bus that the options describe."""
+    """The bus that the file describes, or the options. ConfigurationError when both do."""
+    names = [name for name in inspect.signature(plan).parameters if name not in ("parameters", "changes")]
+    given = {name: value for name in names if (value := getattr(args, name)) is not None}
     changes = {field: value for name in CHANGES if (value := getattr(args, field := name.replace("-", "_"))) is not None}
-    return plan(
-        args.baudrate, args.station, addresses=args.address, masters=args.masters, ring=args.ring, profile=args.profile,
-        allowance=args.allowance, repeaters=args.repeaters, repeater_delay=args.repeater_delay, length=args.length,
-        cycle_time=args.cycle_time, others=args.others, chunk=args.chunk / 1000,
-        changes=changes)
+    if args.file is None:
+        return plan(**given, changes=changes)
+    if given or changes:
+        flags = {"slaves": "station", "addresses": "address"}
+        also = ", ".join(f"--{flags.get(name, name).replace('_', '-')}" for name in (*given, *changes))
+        raise ConfigurationError(f"--file {args.file} and {also}: the file says all of the bus; change it there")
+    return BusFile.load(args.file, works=False).timing
 
 
 def run(args: argparse.Namespace) -> int:
-    found = BusFile.load(args.file, works=False).timing if args.file else described(args)
+    found = described(args)
     print(json.dumps(as_object(found)) if args.json else table(found))
     return 0 if found.works else 1
