@@ -127,7 +127,7 @@ def _ask(master: Master, station: int) -> float | None:
 
 def _whom(master: Master, said: Callable[[str], None]) -> int:
     """NOBODY where the port hears itself, else the first slave."""
-    for _ in range(5):  # a busy host may miss one
+    for _ in range(20):  # a busy host may miss some
         _ask(master, NOBODY)
         if _echoes(master)[0]:
             return NOBODY
