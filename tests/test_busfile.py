@@ -17,7 +17,9 @@ import subprocess
 import sys
 import time
 import tomllib
+import tty
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +33,7 @@ from dpmaster.cli.run import View, logged, numeral, picture
 from dpmaster.drives import YaskawaV7
 from dpmaster.emulator import Segment
 from dpmaster.emulator.cards import SIP1, GenericSlave
+from dpmaster.gsd.station import GSDStation
 
 GSD = """\
 #Profibus_DP
@@ -160,6 +163,36 @@ def test_from_file_runs_the_bus(write: Callable[..., Path], wire: Segment) -> No
         assert valves["Out"].outputs == b"\x10"
         with pytest.raises(ConfigurationError, match="'Pumpe': no station has this name or address: there are 5 'Pump', 7 "):
             master["Pumpe"]
+
+
+def test_parameters_changed_while_it_runs_wait_for_reparameterise(write: Callable[..., Path], wire: Segment) -> None:
+    """Protocol page G.1: User_Prm_Data stands behind Ident_Number and Group_Ident in Set_Prm."""
+    ear = os.open(wire.port(), os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    tty.setraw(ear)
+
+    def heard() -> set[bytes]:
+        octets = b""
+        with suppress(BlockingIOError):
+            while octets := octets + os.read(ear, 65536):
+                pass
+        return set(re.findall(rb"\x3d\x3e.{4}\x43\x21\x00(.)", octets, re.DOTALL))
+
+    try:
+        with Master.from_file(write(), port=wire.port()) as master:
+            valves = master["Valves"]
+            assert isinstance(valves, GSDStation)
+            master.operate()
+            assert heard() == {b"\x01"}
+            valves.signals["Drain"] = True
+            valves.parameters["On failure"] = "hold"
+            with pytest.raises(ConfigurationError, match=r"hold.*reset"):
+                valves.parameters["On failure"] = "keep"
+            valves.wait(lambda frame: True, 5)
+            assert heard() == set() and valves.state == StationState.DATA
+            valves.reparameterise()
+            assert heard() == {b"\x00"} and valves["Out"].outputs == b"\0", "anew, and with safe outputs"
+    finally:
+        os.close(ear)
 
 
 def test_options_of_the_call_win(write: Callable[..., Path], wire: Segment) -> None:

@@ -48,7 +48,8 @@ class GSDStation(Station):
     @property
     def parameters(self) -> Parameters:
         """Settings of the station by name: ``station.parameters["Redundancy mode"] = "on"``; those of a module are
-        ``station[2].parameters``. They go out with a Set_Prm made after the change: set them before `Master.add`."""
+        ``station[2].parameters``. Set before `Master.add` they go out with the first Set_Prm; on a bus that runs, any number of
+        them with ``station.reparameterise()``, which makes outputs safe. A station that returns before that may get the old."""
         return self.gsd.parameters
 
     def __getitem__(self, which: int | str) -> ModuleImage:
