@@ -16,6 +16,8 @@ from gsd_files import NAMES, needs_files, path
 from test_gsd_configuration import RACK
 
 from dpmaster import cli
+from dpmaster.emulator import Segment
+from dpmaster.emulator.cards import GenericSlave
 from dpmaster.gsd import GSD
 
 
@@ -169,3 +171,20 @@ def test_a_terminal_without_the_characters(tmp_path: Path) -> None:
     shown = subprocess.run([sys.executable, "-m", "dpmaster", "gsd", "show", str(file)], capture_output=True, check=True,
                            env=os.environ | {"PYTHONIOENCODING": "ascii"})
     assert shown.stdout.startswith(b"M\\xfcller\n")
+
+
+def test_diag_uses_the_makers_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Unit_Diag_Bit(0) is the least significant bit behind the block's header; page M: peers lose it."""
+    file, other = tmp_path / "valve.gsd", tmp_path / "other.gsd"
+    file.write_text('#Profibus_DP\nIdent_Number = 0x4321\nUnit_Diag_Bit(0) = "Coil 1 burnt"\n', encoding="ascii")
+    other.write_text('#Profibus_DP\nIdent_Number = 0x4322\nUnit_Diag_Bit(0) = "Door open"\n', encoding="ascii")
+    with Segment() as wire:
+        valve = wire.attach(GenericSlave(7, 0x4321, [b"\x20"]))
+        valve.diagnosis(bytes((0x02, 0x01)))
+        for given, words in (([], "device diagnosis: 01"), (["--gsd", str(file)], "device diagnosis: Coil 1 burnt"),
+                             (["--gsd", str(other)], "device diagnosis: 01")):
+            assert cli.main(["diag", wire.port(), "7", *given]) == 0
+            assert words in capsys.readouterr().out
+        assert cli.main(["diag", wire.port(), "7", "--gsd", str(other)]) == 0
+        assert "is that of another device, ident 4322h" in capsys.readouterr().err
+        assert cli.main(["diag", "/no/such/port", "7", "--gsd", str(tmp_path / "none.gsd")]) == 2
