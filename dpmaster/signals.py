@@ -7,10 +7,11 @@ its frame and its commits.
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from dpmaster import _arguments
 from dpmaster.errors import ConfigurationError
@@ -55,8 +56,9 @@ class Signal:
                 "say which bit, 0 to 7" if self.type == "bool" else "only a bool has a bit"))
         if self.bit is not None:
             _arguments.whole(f"bit of {self.name!r}", self.bit, 0, 7)
-        if self.scale is not None and (not _arguments.number(self.scale) or self.scale == 0 or self.type == "bool"):
-            raise ConfigurationError(f"scale {self.scale!r} of {self.name!r}: a number other than 0, and not of a bool")
+        if self.scale is not None and (not _arguments.number(self.scale) or self.scale in (0, math.inf, -math.inf)
+                                       or self.type == "bool"):
+            raise ConfigurationError(f"scale {self.scale!r} of {self.name!r}: a finite number other than 0, and not of a bool")
 
     @property
     def length(self) -> int:
@@ -78,14 +80,16 @@ class Signal:
             return bytes([bool(value) << self.bit]), bytes([0xFF ^ 1 << self.bit])
         if isinstance(value, bool) or not _arguments.number(value):
             raise ConfigurationError(f"{self.name!r} = {value!r}: it is of type {self.type}, give a number")
-        assert isinstance(value, int | float)
-        count = value if self.scale is None else value / self.scale
+        number: Any = value  # of any type that is one: numpy's, a Fraction
+        count = number if self.scale is None else number / self.scale
         if not self.type.startswith("float") and self.scale is None and count % 1:
             raise ConfigurationError(f"{self.name!r} = {value!r}: it is of type {self.type}, give a whole number")
         return self._pack(count, value), bytes(self.length)
 
-    def _pack(self, count: float, value: object) -> bytes:
+    def _pack(self, count: Any, value: object) -> bytes:
         try:
+            if math.isinf(count):  # a float32 could hold it, and no drive knows what it means
+                raise OverflowError
             return struct.pack(">" + _FORMATS[self.type], float(count) if self.type.startswith("float") else round(count))
         except (struct.error, OverflowError):
             raise ConfigurationError(f"{self.name!r} = {value!r}: {self._range()}") from None

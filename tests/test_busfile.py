@@ -452,6 +452,8 @@ def test_run_goes_on_without_a_station(write: Callable[..., Path], capsys: pytes
         said = capsys.readouterr()
         assert "going on without some stations: 2 of 3" in said.err
         assert re.search("7  Valves +OFFLINE: does not answer", said.out)
+        assert cli.main(["run", str(write(BUS, "address = 2", "address = 2\nauto_clear = true")), "--port", wire.port()]) == 1
+        assert "2 of 3" in capsys.readouterr().err, "with auto_clear it is all of them or none"
     with Segment() as nobody:
         assert cli.main(["run", str(write()), "--port", nobody.port(), "--seconds", "0.1"]) == 1
 

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
+from fractions import Fraction
 
 import pytest
 
@@ -58,7 +60,20 @@ def test_a_value_that_does_not_fit_is_named_with_the_range(signal: Signal, value
         signal.put(value)
 
 
+@pytest.mark.parametrize("type_", ["int16", "float32"])
+def test_any_type_of_number_is_taken_if_it_is_finite(type_: str) -> None:
+    signal = Signal("Speed", "outputs", 0, type_, scale=0.5)
+    assert signal.put(Fraction(3, 2)) == signal.put(1.5)
+    for value in (math.inf, -math.inf, math.nan, 1e300 * 10**200):
+        with pytest.raises(ConfigurationError, match="'Speed' = "):
+            signal.put(value)
+    with pytest.raises(ConfigurationError, match="'Speed' = 1e"):
+        Signal("Speed", "outputs", 0, type_, scale=1e-300).put(1e300)
+    assert Signal("x", "outputs", 0, "int16").put(Fraction(-2)) == (b"\xff\xfe", bytes(2))
+
+
 @pytest.mark.parametrize(("fields", "words"), [
+    ({"scale": math.inf}, "scale inf of 'x': a finite number"),
     ({"direction": "both"}, "direction 'both' of 'x': inputs or outputs"),
     ({"type": "word"}, "type 'word' of 'x': one of bool, "), ({"offset": 244}, "offset of 'x' 244: 0 to 243"),
     ({"type": "bool"}, "say which bit"), ({"bit": 1}, "only a bool has a bit"),
