@@ -241,6 +241,7 @@ FAULTS = [  # what is changed, and the beginning of what is said of it: line and
     ("watchdog = 0.5", "watchdog = 700", r":23: station\[2\]\.watchdog: watchdog 700 s"),
     ("freeze = true", "sync = true", r":24: station\[2\]\.sync: sync=True: .*can not"),
     ('module = "Level"', 'module = "Livel"', r":27: station\[2\]\.inputs\.Tank\.module: .*no module 'Livel'"),
+    ('module = "Level"', "module = []", r":27: station\[2\]\.inputs\.Tank\.module: .*no module \[\]"),
     ("offset = 2", "offset = 3", r":27: station\[2\]\.inputs\.Tank: 'Tank': Valves has 4 octets of inputs"),
     ("scale = 0.1", "scal = 0.1", r":27: station\[2\]\.inputs\.Tank\.scal: no such key: did you mean scale"),
     ("bit = 4", "bit = 8", r":30: station\[2\]\.outputs\.Drain: bit of 'Drain' 8: 0 to 7"),

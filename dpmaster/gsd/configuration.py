@@ -111,8 +111,9 @@ class Configuration:
         if isinstance(which, int):
             found = [place for place in self.places if place.slot == which]
         else:
-            found = [place for place in self.places if plain(which) in (plain(place.name), plain(place.module.name))]
-            found = [place for place in found if plain(place.name) == plain(which)] or found
+            name = plain(str(which))
+            found = [place for place in self.places if name in (plain(place.name), plain(place.module.name))]
+            found = [place for place in found if plain(place.name) == name] or found
         if len(found) != 1:
             there = ", ".join(f"{place.slot} {place.name!r}" for place in found or self.places)
             raise ConfigurationError(f"{self.device.title} has {'several modules' if found else 'no module'} {which!r}: "
