@@ -6,6 +6,7 @@ Protocol pages F.2 (Global_Control), I.4 (Sync, Freeze, Clear) and J.1 (modes). 
 
 from __future__ import annotations
 
+import random
 from itertools import pairwise
 
 import pytest
@@ -558,6 +559,87 @@ def test_min_slave_interval_holds_for_requests_by_hand(interval):
                 break
         assert request.done
     assert bus.state == lib.DPM_ST_DATA
+
+
+class Slow:
+    """Our master and three of our slaves with a Min_Slave_Intervall of 25, 0 and 3 ms."""
+
+    def __init__(self, cycle_time: int = 0) -> None:
+        parameters = default_parameters()
+        self.master = Master(parameters=parameters, address=2, cycle_time=cycle_time)
+        self.slaves = Slaves(parameters=parameters)
+        for address, interval in ((8, 250), (9, 0), (10, 30)):
+            for machine in (self.master, self.slaves):
+                machine.add(address, 0x00CA, b"\x72", min_slave_interval=interval)
+        self.wire = Wire(parameters, self.master.machine, self.slaves.machine)
+        self.master.mode(lib.DPM_MODE_OPERATE)
+
+    def until_exchanging(self) -> None:
+        self.wire.run_until(lambda: all(self.master.slave(i).state == lib.DPM_ST_DATA for i in range(3)))
+
+    def check(self) -> None:
+        assert [self.slaves.report(i).too_soon for i in range(3)] == [0, 0, 0]
+
+
+@pytest.mark.parametrize("raw", [False, True], ids=["", "with a request by hand waiting"])
+@pytest.mark.parametrize("cycle_time", [0, 1 * S])
+def test_leaving_keeps_min_slave_interval_and_waits_for_nothing_else(cycle_time, raw):
+    """At every place of the cycle, and in the middle of a telegram: never a cycle time, never an Unlock too soon."""
+    for telegrams in range(16):
+        bus = Slow(cycle_time)
+        bus.until_exchanging()
+        for _ in range(telegrams):
+            bus.wire.step()
+        if raw:
+            bus.master.request(8, 0x0D, dsap=60, ssap=62)
+            bus.wire.step(bus.wire.now + MS // 10)
+        bus.master.mode(lib.DPM_MODE_STOP, bus.wire.now)
+        begin = bus.wire.now
+        bus.wire.run_until(lambda bus=bus: bus.master.status.mode == lib.DPM_MODE_STOP)
+        assert bus.wire.now - begin < 25 * MS + 3 * MS
+        assert [bus.slaves.report(i).state for i in range(3)] == [lib.DPM_SL_WAIT_PRM] * 3
+        bus.wire.run(bus.wire.now + 30 * MS)
+        bus.check()
+
+
+def test_leaving_does_not_wait_for_an_interval_of_seconds():
+    """Min_Slave_Intervall may be 6.5 s: the way out is bounded, the Unlock comes sooner then."""
+    bus = Bus(slave={"min_slave_interval": 65535})
+    bus.script.next(limit=60 * S)
+    for answer in (FREE, SC, SC, READY):
+        bus.script.answer(answer)
+        bus.next(limit=60 * S)
+    bus.script.answer(SC)
+    begin = bus.script.now
+    bus.master.mode(lib.DPM_MODE_STOP, begin)
+    assert bus.next()[7:10] == b"\x3d\x3e\x40"
+    assert bus.script.last.start - begin < 110 * MS
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_min_slave_interval_holds_whatever_a_program_does(seed):
+    """Stations that come, go and are parameterised anew, requests by hand and changes of the mode, at any moment."""
+    print(f"seed {seed}")
+    dice = random.Random(seed)
+    bus = Slow()
+    for _ in range(60):
+        now, index = bus.wire.now, dice.randrange(3)
+        match dice.randrange(5):
+            case 0:
+                lib.dpm_master_activate(bus.master.master, index, dice.random() < 0.6, now)
+            case 1:
+                lib.dpm_master_new_prm(bus.master.master, index, now)
+            case 2:
+                bus.master.mode(dice.choice((lib.DPM_MODE_STOP, lib.DPM_MODE_CLEAR, lib.DPM_MODE_OPERATE)), now)
+            case _:
+                bus.master.request(8 + index, 0x0D, dsap=dice.choice((59, 60)), ssap=62)
+        bus.wire.run(now + dice.randrange(40 * MS))
+        bus.check()
+    bus.master.mode(lib.DPM_MODE_OPERATE, bus.wire.now)
+    for index in range(3):
+        lib.dpm_master_activate(bus.master.master, index, True, bus.wire.now)
+    bus.until_exchanging()
+    bus.check()
 
 
 def test_a_request_that_was_waiting_for_a_station_that_left_blocks_nobody():

@@ -389,7 +389,8 @@ void dpm_master_revoke(dpm_master *master, dpm_control *control)
 
 /* --- the slaves' turns --------------------------------------------------------------------------------------------- */
 
-/* The slaves' turn; one that may not be asked yet (Min_Slave_Interval) keeps its place until then. */
+/* The slaves' turn; one that may not be asked yet (Min_Slave_Interval) keeps its place until then, also on the way out,
+ * which is one cycle. */
 static bool slave_request(dpm_master *m, int64_t now, dpm_request *request, int64_t *wake)
 {
     for (; m->turn < m->n_slaves; m->turn++) {
@@ -397,7 +398,7 @@ static bool slave_request(dpm_master *m, int64_t now, dpm_request *request, int6
         if (!dpm_slave_wants(slave) || slave == m->raw_first)
             continue;
         if (now < slave->not_before) {
-            if (slave->state == DPM_ST_DATA) {
+            if (slave->state == DPM_ST_DATA || m->leaving) {
                 *wake = min_of(*wake, slave->not_before);
                 return false;
             }
@@ -533,14 +534,14 @@ static bool raw_must_wait(dpm_master *m, int64_t now, int64_t *wake)
 {
     dpm_slave *slave = slave_at(m, m->raw->da);
     m->raw_first = NULL;
-    if (!slave || slave->state != DPM_ST_DATA)
+    if (!slave)
         return false;
-    if (now < slave->not_before) {
-        m->raw_first = slave;
-        *wake = min_of(*wake, slave->not_before);
+    if (now < slave->spaced_at) {
+        m->raw_first = slave->state == DPM_ST_DATA ? slave : NULL;
+        *wake = min_of(*wake, slave->spaced_at);
         return true;
     }
-    slave->not_before = now + slave->interval;
+    dpm_slave_space(slave, now);
     return false;
 }
 
@@ -645,6 +646,7 @@ static void leave(dpm_master *m, uint8_t target, int64_t now)
         enter_mode(m, DPM_MODE_CLEAR, now);
     m->target = target;
     m->leaving = true;
+    m->raw_first = NULL;
     m->current = NULL; /* what is under way was asked on the way in: its answer changes no state any more */
     for (unsigned i = 0; i < m->n_slaves; i++)
         dpm_slave_leave(m, &m->slaves[i], now, reachable(m));

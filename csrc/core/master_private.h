@@ -37,6 +37,7 @@ typedef struct dpm_slave {
     int64_t checked_at;     /* Chk_Cfg was taken: is it ready? */
     int64_t pause;          /* ns after the next refusal or loss; grows with each until data are exchanged */
     int64_t interval;       /* Min_Slave_Interval, ns */
+    int64_t spaced_at;      /* Min_Slave_Interval since the last request is over */
     int64_t not_before;     /* the next request to it */
     uint64_t carried;       /* commit in the Data_Exchange under way */
     dpm_frame received;     /* the inputs published last */
@@ -110,6 +111,9 @@ void dpm_slave_new_prm(dpm_master *master, dpm_slave *slave, int64_t now);
 void dpm_slave_overhear(dpm_master *master, dpm_slave *slave, int64_t now, const dpm_confirm *confirm);
 /* Its diagnosis, or its absence, is something to look at. */
 bool dpm_slave_in_trouble(const dpm_slave *slave);
+
+/* A request to it begins now. */
+void dpm_slave_space(dpm_slave *slave, int64_t now);
 
 /* master.c */
 /* Outputs of a commit made at `time` are alive: from now on the output watchdog watches the program. */

@@ -28,6 +28,8 @@ enum { PRM_LOCK = 0x80, PRM_UNLOCK = 0x40, PRM_WD_ON = 0x08, PRM_SYNC_FREEZE = 0
  * if it does so again before it has exchanged data after a pause that doubles from WAIT to PAUSE_MAX. */
 #define WAIT 10000000
 #define PAUSE_MAX 1280000000
+/* Leaving is bounded: an Unlock waits so long for Min_Slave_Interval, and not for one of seconds, ns. */
+#define LEAVE_WAIT 100000000
 
 static void put_event(dpm_master *m, const dpm_slave *slave, int64_t now, uint16_t kind, int32_t a, int32_t b)
 {
@@ -128,7 +130,7 @@ void dpm_slave_leave(dpm_master *master, dpm_slave *slave, int64_t now, bool rea
     const bool ours = slave->state >= DPM_ST_PRM && slave->state != DPM_ST_INACTIVE;
     enter(master, slave, now, ours && reachable ? DPM_ST_LEAVING : away(slave));
     slave->tries = 0;
-    slave->not_before = now;
+    slave->not_before = slave->spaced_at < now + LEAVE_WAIT ? slave->spaced_at : now + LEAVE_WAIT;
 }
 
 void dpm_slave_activate(dpm_master *master, dpm_slave *slave, int64_t now, bool active, bool reachable)
@@ -226,12 +228,18 @@ static void build_data(dpm_master *m, dpm_slave *slave, dpm_request *request)
         memset(m->pdu, 0, request->length);
 }
 
+void dpm_slave_space(dpm_slave *slave, int64_t now)
+{
+    slave->spaced_at = now + slave->interval;
+    wait(slave, now, slave->interval);
+}
+
 void dpm_slave_request(dpm_master *master, dpm_slave *slave, int64_t now, dpm_request *request)
 {
     if (slave->set.diagnosis_poll && now >= slave->diagnosis_time + slave->set.diagnosis_poll)
         slave->diagnosis_pending = true;
     slave->asked = service_of(slave);
-    slave->not_before = now + slave->interval;
+    dpm_slave_space(slave, now);
     master->current = slave;
     *request = (dpm_request){.da = slave->set.address, .function = DPM_SRD_HIGH, .dsap = DPM_SAP_SLAVE_DIAG,
                              .ssap = DPM_SAP_MASTER, .data = master->pdu,
