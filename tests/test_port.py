@@ -167,6 +167,22 @@ def test_a_port_is_opened_once(opened: Opener) -> None:
     assert opened(first.path).code == 0
 
 
+def test_what_one_program_wrote_is_not_thrown_away_by_the_next_that_opens(opened: Opener) -> None:
+    """Global_Control has no answer: a program may end straight behind it, before the hub has read it."""
+    first = opened(echo=lib.DPM_ECHO_OFF)
+    while first.write(bytes(255)) == 0 and first.recorder.take("sent")[0][3] == lib.DPM_SENT_WHOLE:
+        pass
+    written = first.info.octets_out
+    keep = os.open(first.path, os.O_RDWR | os.O_NOCTTY)  # as a hub does, so that the close is not the last
+    lib.dpm_port_close(first.port)
+    assert opened(first.path).code == 0
+    read = 0
+    while read < written:
+        assert select.select([first.far], [], [], 5.0)[0], f"{read} octets of {written} are left"
+        read += len(os.read(first.far, 65536))
+    os.close(keep)
+
+
 def test_a_forked_child_does_not_keep_the_lock(opened: Opener) -> None:
     first = opened()
     ready, go = os.pipe()

@@ -349,7 +349,7 @@ static int open_line(dpm_port *port)
         return code;
     if (!port->pty)
         ask_driver(port);
-    (void)ioctl(port->fd, TCFLSH, TCIOFLUSH);
+    (void)ioctl(port->fd, TCFLSH, TCIFLUSH); /* what others wrote before is on its way: it is not ours to take back */
     port->marks.seen = 0;
     forget_echo(port);
     return DPM_OK;
