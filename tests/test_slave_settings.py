@@ -8,6 +8,7 @@ Pages and rows are the protocol page's.
 from __future__ import annotations
 
 import pytest
+from simulation import Simulation
 from slave_rig import (
     CHK_CFG,
     DATA_EXCH,
@@ -27,9 +28,9 @@ from slave_rig import (
     running,
     telegram,
 )
-from wire import Master, Slaves, Wire, default_parameters
+from wire import Master, S, Slaves, default_parameters
 
-from dpmaster._core import lib
+from dpmaster._core import ffi, lib
 
 UE = octets("10 02 08 01 0B 16")  # B.4 #48
 RS = octets("10 02 08 03 0D 16")  # B.4 #23
@@ -189,29 +190,123 @@ SETTINGS = [
 ]
 
 
-@pytest.mark.parametrize("configuration", [b"\x72", b"\x21", b"\x11"], ids=["in and out", "out", "in"])
-@pytest.mark.parametrize("settings", SETTINGS, ids=lambda settings: " ".join(settings) or "ours")
-def test_our_master_comes_through_with_either(settings: dict[str, int], configuration: bytes) -> None:
-    """Through start-up and diagnosis that is announced in Data_Exchange."""
-    parameters = default_parameters(500_000)
-    master, slaves = Master(parameters=parameters), Slaves(parameters=parameters)
-    master.add(8, 0x00CA, configuration, watchdog=(100, 1))
-    slaves.add(8, 0x00CA, configuration, **settings)
-    wire = Wire(parameters, master.machine, slaves.machine)
-    master.mode(lib.DPM_MODE_OPERATE)
-    wire.run(wire.now + 100 * MS)
-    assert (master.slave(0).state, slaves.report(0).state) == (lib.DPM_ST_DATA, DATA_EXCH)
+# What the pages leave to a master: fields of `dpm_slave_set`, and of `dpm_master_config`.
+OUR_SETS: list[dict[str, int]] = [
+    {}, {"any_ident": True}, {"diagnosis_poll": 5 * MS}, {"ready_timeout": 20 * MS}, {"hold": True}, {"fail_safe": True},
+    {"station_status": 0x30, "min_tsdr": 0},
+]
+OUR_CONFIGS: list[dict[str, int]] = [{"data_retries": 0}, {"auto_clear": True}, {"control_interval": 2 * MS}]
+OURS = [(settings, {}) for settings in OUR_SETS] + [({}, options) for options in OUR_CONFIGS]
 
-    assert lib.dpm_slaves_diagnosis(slaves.slaves, 0, b"\x02\x01", 2, True, True, False) == 0
-    wire.run(wire.now + 100 * MS)
-    assert master.slave(0).state == lib.DPM_ST_DATA
-    fetched = [sent.octets for sent in wire.log if sent.octets[4:9] == octets("81 88 08 3E 3C")]
-    if settings.get("announce") != lib.DPM_ANNOUNCE_NEVER or configuration != b"\x21":
-        assert fetched[-1][-4:-2] == b"\x02\x01"
-    exchanges = slaves.report(0).exchanges
-    wire.run(wire.now + 20 * MS)
-    assert slaves.report(0).exchanges > exchanges + 10
-    assert slaves.report(0).watchdog_expired == 0
+RIGHT = b"\x72", b"\x21", b"\x11"  # in and out, out, in
+WRONG = b"\xf2", b"\xa1", b"\x91"  # as long, with another consistency
+
+
+class Meeting:
+    """A master with settings and three slaves with theirs, one for each of RIGHT."""
+
+    def __init__(self, theirs: dict[str, int], ours: tuple[dict[str, int], dict[str, int]]) -> None:
+        self.ours, options = ours
+        parameters = default_parameters(500_000)
+        self.master = Master(parameters=parameters, **options)
+        self.slaves = Slaves(parameters=parameters)
+        for address, right, wrong in zip((8, 9, 10), RIGHT, WRONG, strict=True):
+            self.slaves.add(address, 0x00CA, right, fail_safe="fail_safe" in self.ours, **theirs)
+            self.master.add(address, 0x00CA, wrong, watchdog=(100, 1), **self.ours)
+        self.wire = Simulation(parameters, self.master, self.slaves)
+        self.master.mode(lib.DPM_MODE_CLEAR)
+
+    def take_back_the_wrong(self) -> None:
+        for index, right in enumerate(RIGHT):
+            settings = ffi.new("dpm_slave_set *", {
+                "address": 8 + index, "ident_number": 0x00CA, "configuration": right, "configuration_length": 1,
+                "wd_fact_1": 100, "wd_fact_2": 1, "min_tsdr": 11} | self.ours)
+            assert lib.dpm_master_change(self.master.master, index, settings) == 0
+
+    def run(self, duration: int) -> None:
+        self.wire.run(duration)
+        self.wire.check()
+
+    def check_exchange(self) -> None:
+        """All three, with commits of now."""
+        before = [self.slaves.report(i).exchanges for i in range(3)]
+        sent = [self.master.commit(i, bytes([0x40 + i]), self.wire.now) for i in range(2)]
+        self.run(20 * MS)
+        for i in range(3):
+            report = self.slaves.report(i)
+            assert (self.master.slave(i).state, report.state) == (lib.DPM_ST_DATA, DATA_EXCH)
+            assert report.exchanges > before[i] + 5 and report.watchdog_expired == 0
+        for i, number in enumerate(sent):
+            assert self.master.was_sent(i, number) == 1
+            assert self.slaves.outputs(i).octets[0] == 0x40 + i and self.slaves.outputs(i).valid
+
+
+@pytest.mark.parametrize("ours", OURS, ids=lambda ours: " ".join(ours[0] | ours[1]) or "default")
+@pytest.mark.parametrize("theirs", SETTINGS, ids=lambda settings: " ".join(settings) or "ours")
+def test_every_setting_of_the_slave_meets_every_setting_of_the_master(theirs: dict[str, int], ours: tuple[dict[str, int], ...]):
+    """A wrong configuration, start-up, announced diagnosis, New_Prm, a slave that was switched off and on, leaving."""
+    meeting = Meeting(theirs, ours)
+    master, slaves = meeting.master, meeting.slaves
+    meeting.run(50 * MS)
+    assert [master.slave(i).reason for i in range(3)] == [lib.DPM_WHY_CFG_FAULT] * 3
+    meeting.take_back_the_wrong()
+    meeting.run(200 * MS)
+    master.mode(lib.DPM_MODE_OPERATE, meeting.wire.now)
+    meeting.check_exchange()
+
+    for i in range(3):
+        assert lib.dpm_slaves_diagnosis(slaves.slaves, i, b"\x02\x01", 2, True, True, False) == 0
+    meeting.run(20 * MS)
+    found = [bytes(master.slave(i).diagnosis[6 : master.slave(i).diagnosis_length]) for i in range(3)]
+    told = theirs.get("announce") != lib.DPM_ANNOUNCE_NEVER or "diagnosis_poll" in meeting.ours
+    assert found == [b"\x02\x01", b"\x02\x01" if told else b"", b"\x02\x01"]
+    meeting.check_exchange()
+
+    for i in range(3):
+        lib.dpm_master_new_prm(master.master, i, meeting.wire.now)
+    meeting.run(20 * MS)
+    meeting.check_exchange()
+    assert [master.slave(i).statistics.losses for i in range(3)] == [0, 0, 0]
+
+    lib.dpm_slaves_reset(slaves.slaves, 0, meeting.wire.now)
+    meeting.run(40 * MS)
+    assert master.slave(0).statistics.losses == 1
+    meeting.check_exchange()
+
+    master.mode(lib.DPM_MODE_STOP, meeting.wire.now)
+    meeting.run(20 * MS)
+    assert [slaves.report(i).state for i in range(3)] == [WAIT_PRM] * 3
+    assert master.status.mode == lib.DPM_MODE_STOP
+
+
+@pytest.mark.parametrize("theirs", SETTINGS, ids=lambda settings: " ".join(settings) or "ours")
+def test_a_slave_of_another_real_master_is_let_alone_and_taken_when_it_is_free(theirs: dict[str, int]) -> None:
+    """Whatever a locked slave answers: the second master reports whose it is, and disturbs nothing."""
+    parameters = default_parameters(500_000)
+    own, other = masters = [Master(parameters=parameters, address=address, role=lib.DPM_ROLE_RING) for address in (1, 2)]
+    slaves = Slaves(parameters=parameters)
+    slaves.add(8, 0x00CA, RIGHT[0], **theirs)
+    wire = Simulation(parameters, *masters, slaves)
+    for master in masters:
+        master.add(8, 0x00CA, RIGHT[0], watchdog=(100, 1))
+        master.mode(lib.DPM_MODE_OPERATE)
+    wire.run(2 * S)
+    if other.slave(0).state == lib.DPM_ST_DATA:
+        own, other = other, own
+    for _ in range(3):
+        locked = other.slave(0)
+        assert (locked.state, locked.reason, locked.detail) == (lib.DPM_ST_DIAG1, lib.DPM_WHY_LOCKED, slaves.report(0).master)
+        by_hand = [other.request(8, 0x0D, b"\x80\x01\x01\x0b\x00\xca\x00", 61, 62),  # Set_Prm all the same
+                   other.request(8, 0x0D, RIGHT[0], 62, 62), other.request(8, 0x0D, bytes(6))]
+        wire.run(20 * MS)
+        assert all(request.done for request in by_hand)
+        assert (own.slave(0).state, own.slave(0).statistics.losses) == (lib.DPM_ST_DATA, 0)
+        own.mode(lib.DPM_MODE_STOP, wire.now)
+        wire.run(1500 * MS)  # who was refused looks again after 1.28 s at the latest
+        own.mode(lib.DPM_MODE_OPERATE, wire.now)
+        wire.run(20 * MS)
+        own, other = other, own
+    wire.check()
 
 
 def test_slave_diag_shows_whoever_asks_the_same() -> None:
