@@ -22,6 +22,7 @@ IDENT, OTHER_IDENT = 0x00CA, 0x9527
 BASIC, LENGTH = b"\x72", 6  # SI-P1 manual, chapter 2, "Basic data": 6 octets each way
 SAFE = bytes(LENGTH)
 WATCHDOG = (1, 10)  # 100 ms
+DATA_CONTROL_TIME = 150 * MS
 SLOW = 5  # exchanges after a return until the program, which commits all the time, notices it and begins again
 
 OFFLINE, DIAG1, PRM, CFG = lib.DPM_ST_OFFLINE, lib.DPM_ST_DIAG1, lib.DPM_ST_PRM, lib.DPM_ST_CFG
@@ -88,12 +89,13 @@ class Forger:
 class Bench:
     """Victim, neighbour and master in Operate (or the mode given); `step()` is one event with all invariants checked."""
 
-    def __init__(self, mode: int = lib.DPM_MODE_OPERATE, *, ring: bool = False) -> None:
-        """ring: another master, with no slaves, shares the bus."""
+    def __init__(self, mode: int = lib.DPM_MODE_OPERATE, *, ring: bool = False, rivals: bool = False,
+                 auto_clear: bool = False) -> None:
+        """ring: another master shares the bus, in Stop and with no slaves; rivals: one that operates and wants the victim."""
         self.parameters = default_parameters(500_000)
         self.wire = Simulation(self.parameters, ports=8, tap=64, grace=0)
-        self.master = Master(parameters=self.parameters, address=MASTER, slaves=2, control_interval=50 * MS,
-                             role=lib.DPM_ROLE_RING if ring else lib.DPM_ROLE_SOLE)
+        self.master = Master(parameters=self.parameters, address=MASTER, slaves=2, control_interval=DATA_CONTROL_TIME // 3,
+                             role=lib.DPM_ROLE_RING if ring or rivals else lib.DPM_ROLE_SOLE, auto_clear=auto_clear)
         self.devices = [self._device(VICTIM, IDENT), self._device(VICTIM, OTHER_IDENT)]
         self.neighbour = self._device(NEIGHBOUR, IDENT)
         self.forger = Forger(self.devices[0])
@@ -102,10 +104,12 @@ class Bench:
         self.master_port = self.wire.attach(self.master)
         self.wire.attach(self.forger)
         self.wire.attach(self.neighbour)
-        if ring:
+        if ring or rivals:
             self.other = Master(parameters=self.parameters, address=RIVAL, slaves=1, role=lib.DPM_ROLE_RING)
             self.wire.attach(self.other)
-            self.other.mode(lib.DPM_MODE_STOP)
+            if rivals:
+                self.other.add(VICTIM, IDENT, BASIC, watchdog=WATCHDOG)
+            self.other.mode(lib.DPM_MODE_OPERATE if rivals else lib.DPM_MODE_STOP)
         self.count = 0
         self.barrier = 0  # commits up to this one must never be sent (again)
         self.resume = 0  # exchanges after which the program commits again
@@ -115,6 +119,9 @@ class Bench:
         self._neighbour_at = 0
         self.foreign_set_prm = 0  # Set_Prm seen while the other device was plugged
         self.events: list[tuple[int, int]] = []
+        if auto_clear and mode == lib.DPM_MODE_OPERATE:
+            self.mode(lib.DPM_MODE_CLEAR)
+            self.run_until(self.exchanging(), 100 * MS)
         self.mode(mode)
 
     def _device(self, address: int, ident: int) -> Slaves:

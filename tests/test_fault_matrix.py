@@ -8,6 +8,7 @@ the simulated segment: its onlooker judges our master's every telegram.
 from __future__ import annotations
 
 import functools
+import random
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -15,6 +16,7 @@ import pytest
 from fault_bench import (
     CFG,
     DATA,
+    DATA_CONTROL_TIME,
     DIAG1,
     DIAG2,
     LEAVING,
@@ -24,6 +26,7 @@ from fault_bench import (
     OFFLINE,
     PRM,
     RIVAL,
+    SAFE,
     VICTIM,
     Answers,
     Bench,
@@ -31,6 +34,7 @@ from fault_bench import (
     slot_and_more,
     whole,
 )
+from simulation import Transmission
 from slave_rig import telegram
 from wire import MS, NEVER, S, lib
 
@@ -161,9 +165,9 @@ FAULTS: dict[str, Fault] = {
 class Run:
     """One fault at one step; `last` is how long it lasts in ns, 0: it strikes once."""
 
-    def __init__(self, name: str, step: str, last: int) -> None:
+    def __init__(self, name: str, step: str, last: int, *, auto_clear: bool = False) -> None:
         self.fault, self.at_step, self.last = FAULTS[name], STEPS[step], last
-        self.bench = Bench(mode=CLEAR if step == "Clear" else OPERATE)
+        self.bench = Bench(mode=CLEAR if step == "Clear" else OPERATE, auto_clear=auto_clear)
         self.began: int | None = None
         self.reasons: set[int] = set()
         if step in ("Data_Exchange", "Clear", "leaving"):
@@ -232,6 +236,69 @@ def test_matrix(name: str, step: str, last: int) -> None:
     assert bench.foreign_set_prm <= 1, "a device of another ident was parameterised after it had said who it is"
     assert max(bench.gaps, default=0) <= longest_gap(), "the neighbour waited"
     bench.check_rules(unseen=name == LATE)
+
+
+class Watch:
+    """Error_Action_Flag at every event: Operate is left when the victim was without data transfer for Data_Control_Time, by
+    then and not before."""
+
+    def __init__(self, bench: Bench) -> None:
+        self.bench, self.longest = bench, 0
+        self._step, bench.step = bench.step, self.step  # type: ignore[method-assign]
+        self._exchanges, self._at = bench.victim.statistics.exchanges, bench.wire.now
+
+    def step(self, until: int) -> list[Transmission]:
+        sent = self._step(until)
+        now, exchanges = self.bench.wire.now, self.bench.victim.statistics.exchanges
+        if exchanges > self._exchanges:
+            self._exchanges, self._at = exchanges, now
+        self.longest = max(self.longest, now - self._at)
+        if self.longest < DATA_CONTROL_TIME - MS:
+            assert self.bench.master.status.mode == OPERATE, f"left {(now - self._at) / MS} ms after the last Data_Exchange"
+        if self.longest > DATA_CONTROL_TIME + 2 * MS:
+            assert self.bench.master.status.mode == CLEAR
+        return sent
+
+
+@pytest.mark.parametrize("last", [0, LONG], ids=["once", "half a second"])
+@pytest.mark.parametrize("name", [name for name, fault in FAULTS.items() if "Data_Exchange" in fault.steps])
+def test_matrix_with_auto_clear(name: str, last: int) -> None:
+    """J.1 for each fault: Operate goes on or is left, for all, and the program alone brings it back."""
+    run = Run(name, "Data_Exchange", last, auto_clear=True)
+    bench, watch = run.bench, Watch(run.bench)
+    run.strike()
+    bench.run_until(bench.exchanging(), RECOVERED if last else START_UP)
+    left = watch.longest > DATA_CONTROL_TIME
+    assert left == (last > 0 and not run.fault.harmless and name != "slave reset")
+    assert bench.master.status.auto_cleared == (VICTIM if left else -1)
+    if left:
+        bench.step = watch._step  # type: ignore[method-assign]
+        bench.run(LONG)
+        frame = bench.neighbour.outputs(0)
+        assert (bench.master.status.mode, frame.valid, bytes(frame.octets[0:LENGTH])) == (CLEAR, False, SAFE)
+        bench.mode(OPERATE)
+        bench.run_until(bench.exchanging(), START_UP)
+    assert max(bench.gaps, default=0) <= longest_gap(), "the neighbour waited"
+    bench.check_rules(unseen=name == LATE)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_two_masters_that_want_the_same_slave(seed: int) -> None:
+    """It is switched off and on at any moment: one of them has it soon, the other says whose it is, and nobody livelocks."""
+    print(f"seed {seed}")
+    dice = random.Random(seed)
+    bench = Bench(rivals=True)
+    for _ in range(3):
+        bench.run(dice.randrange(50 * MS))
+        bench.reset()
+        bench.run(2 * START_UP)
+        owner = int(bench.report.master)
+        assert bench.report.state == lib.DPM_SL_DATA_EXCH and owner in (MASTER, RIVAL)
+        bench.run(1300 * MS)  # both have looked again since: a pause is 1.28 s at the longest
+        winner, loser = (bench.victim, bench.other.slave(0))[::1 if owner == MASTER else -1]
+        assert (winner.state, bench.report.master) == (DATA, owner)
+        assert (loser.state, loser.reason, loser.detail) == (DIAG1, lib.DPM_WHY_LOCKED, owner)
+    bench.check_rules()
 
 
 @functools.cache
