@@ -508,18 +508,23 @@ class Master(Services):
             others = (str(station.address) for station in missing if station not in named)
             lines += f"; and the stations at {', '.join(others)}"
         text = f"{len(missing)} of {len(self.stations)} stations not in Data_Exchange after {waited:.1f} s: {lines}"
-        status = self._status()
-        if status.foreign >= 0 and status.fdl_state == FdlState.LISTEN_TOKEN:
-            text += f"; master {status.foreign} has the bus"
-            if not self._in_ring:
-                text += ", and this one is silent beside it"
-                needed = self._parameters.ring_tsl(self._bus.late)
-                if needed <= TSL_MAX:
-                    text += (": with ring=True and the same parameters=BusParameters.for_ring(...) in all masters, "
-                             f"Tsl {needed} or more, they would share it")
+        text += self._kept_out()
         if refusing:
             return StationError(text, address=refusing[0].address, reason=refusing[0].reason)
         return DPTimeout(text)
+
+    def _kept_out(self) -> str:
+        status = self._status()
+        if status.foreign < 0 or status.fdl_state != FdlState.LISTEN_TOKEN:
+            return ""
+        text = f"; master {status.foreign} has the bus"
+        if not self._in_ring:
+            text += ", and this one is silent beside it"
+            needed = self._parameters.ring_tsl(self._bus.late)
+            if needed <= TSL_MAX:
+                text += (": with ring=True and the same parameters=BusParameters.for_ring(...) in all masters, "
+                         f"Tsl {needed} or more, they would share it")
+        return text
 
     def _warn(self) -> None:
         if self.output_watchdog is None:

@@ -101,6 +101,13 @@ class Services:
     @abstractmethod
     def _start(self) -> None: ...
 
+    @abstractmethod
+    def _kept_out(self) -> str:
+        """Who has the bus instead, for the end of an error; "" when nobody."""
+
+    def _no_turn(self, what: str, timeout: float | None) -> DPTimeout:
+        return DPTimeout(f"{what} had no turn on the bus in {timeout:.3g} s{self._kept_out()}")
+
     # ---- by hand
 
     def request(self, address: int, service: str | Service = Service.SRD, dsap: int | None = None, ssap: int | None = None,
@@ -117,7 +124,7 @@ class Services:
             self._bus.set_mode(Mode.STOP)
         if not self._bus.request(raw, timeout):
             self._bus.check_port()
-            raise DPTimeout(f"the request to station {address} had no turn on the bus in {timeout} s")
+            raise self._no_turn(f"the request to station {address}", timeout)
         if raw.status == lib.DPM_CONF_DS:
             self._bus.check_port()  # it may be the reason why nothing was asked
         return _answer(raw)
@@ -277,7 +284,7 @@ class Services:
         control.da, control.command, control.group, control.clear = at, command, group, -1 if clear is None else clear
         if not self._bus.order(control, timeout):
             self._bus.check_port()
-            raise DPTimeout(f"Global_Control had no turn on the bus in {timeout} s and will not be sent")
+            raise self._no_turn("Global_Control, which will not be sent,", timeout)
 
     def _check_concerned(self, at: int, group: int, sync: bool, freeze: bool) -> None:
         """A command that nobody obeys would look like one that was carried out."""

@@ -539,6 +539,14 @@ def test_a_technician_reads_a_station(wire: Segment, cards: list[Echo], capsys: 
     assert "does not answer" in printed(capsys, "read-outputs", port, "9", code=1)
 
 
+@pytest.mark.usefixtures("pair")
+@pytest.mark.parametrize(("command", "request_"), [(("diag", "5"), "the request to station 5"), (("control", "--freeze"), "")])
+def test_a_technician_beside_a_master_is_told_why_nothing_is_asked(wire: Segment, command: tuple[str, ...], request_: str,
+                                                                   capsys: pytest.CaptureFixture[str]) -> None:
+    text = printed(capsys, command[0], wire.port(), *command[1:], code=1)
+    assert f"{request_} had no turn on the bus in 1 s; master 1 has the bus, and this one is silent beside it" in text
+
+
 def test_a_technician_reads_images(cards: list[Echo], wire: Segment, capsys: pytest.CaptureFixture[str]) -> None:
     """Of a slave that its master has just left alone: within its watchdog's time it is in Data_Exchange still."""
     with Master(wire.port()) as master:

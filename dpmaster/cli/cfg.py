@@ -20,8 +20,8 @@ def _data(what: str, data: Data | None) -> list[str]:
     if data is None:
         return []
     unit = "words" if data.unit == 2 else "bytes"
-    held = "whole" if data.consistent else "unit"
-    return [f"{data.octets} octets of {what} from {data.offset} ({data.octets // data.unit} {unit}, consistent per {held})"
+    held = "as a whole" if data.consistent else "per unit"
+    return [f"{data.octets} octets of {what} from {data.offset} ({data.octets // data.unit} {unit}, consistent {held})"
             if data.octets > data.unit else f"{data.octets} octet{'s' * (data.octets > 1)} of {what} from {data.offset}"]
 
 
