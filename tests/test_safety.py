@@ -91,6 +91,7 @@ class Tap:
 
     def __init__(self, path: str, wire: Segment) -> None:
         self.octets = bytearray()
+        self._news = threading.Condition()
         self._fd = os.open(path, os.O_RDWR | os.O_NOCTTY)
         self._end, self._ending = os.pipe()
         _ = wire.info  # runs on the hub's thread behind the open: from here on it is heard
@@ -100,7 +101,9 @@ class Tap:
     def _run(self) -> None:
         while self._end not in (ready := select.select([self._fd, self._end], [], [])[0]):
             assert ready
-            self.octets += os.read(self._fd, 65536)
+            with self._news:
+                self.octets += os.read(self._fd, 65536)
+                self._news.notify_all()
 
     def close(self) -> None:
         if self._ending >= 0:
@@ -111,13 +114,22 @@ class Tap:
             os.close(self._fd)
 
     def telegrams(self) -> list[bytes]:
+        """Those that are here; the last may have come in part."""
         rest, found = bytes(self.octets), []
         while rest:
             telegram = whole(rest)
+            if telegram is not None and len(telegram) > len(rest):
+                break
             assert telegram is not None and rest.startswith(telegram), rest[:20].hex(" ")
             found.append(telegram)
             rest = rest[len(telegram):]
         return found
+
+    def told_until(self, last: str) -> list[str]:
+        """`told`, once it ends so: the thread that listens may be late."""
+        with self._news:
+            self._news.wait_for(lambda: self.told()[-1:] == [last], PATIENCE)
+        return self.told()
 
     def told(self) -> list[str]:
         """What the master said to the drive, in order: run, stop (each when it was answered), Clear, Unlock."""
@@ -307,11 +319,12 @@ def test_after_a_hang_nothing_moves_until_operate_and_a_new_command(bench: Bench
 
 def leaves_well(bench: Bench, begin: float) -> None:
     """Stop word, answered; Clear; Unlock; and the slave's watchdog had nothing to do."""
-    gone = bench.card.until(lambda seen: seen.exchange.state is SlaveState.WAIT_PRM, begin)
+    ran = bench.card.until(lambda seen: seen.exchange.state is SlaveState.DATA_EXCH, begin)
+    gone = bench.card.until(lambda seen: seen.exchange.state is SlaveState.WAIT_PRM, ran.time)
     still = bench.card.until_still(gone.time)
     assert (gone.exchange.master, bench.expired) == (None, 0)
     assert still.time <= gone.time + DOWN + LATE
-    told = bench.tap.told()
+    told = bench.tap.told_until("Unlock")
     last = max(index for index, word in enumerate(told) if word == "run")
     assert told[last:] == ["run", "stop", "Clear", "Unlock"]
     assert bench.wire.info.undelivered == 0

@@ -257,7 +257,7 @@ def test_every_setting_of_the_slave_meets_every_setting_of_the_master(theirs: di
     for i in range(3):
         assert lib.dpm_slaves_diagnosis(slaves.slaves, i, b"\x02\x01", 2, True, True, False) == 0
     meeting.run(20 * MS)
-    found = [bytes(master.slave(i).diagnosis[6 : master.slave(i).diagnosis_length]) for i in range(3)]
+    found = [bytes(status.diagnosis[6 : status.diagnosis_length]) for status in map(master.slave, range(3))]
     told = theirs.get("announce") != lib.DPM_ANNOUNCE_NEVER or "diagnosis_poll" in meeting.ours
     assert found == [b"\x02\x01", b"\x02\x01" if told else b"", b"\x02\x01"]
     meeting.check_exchange()
