@@ -293,7 +293,7 @@ class Bus:
         self.guard()
         records = ffi.new("dpm_diagnosis[]", room)
         found = self._call(lib.dpm_bus_get_history(self._handle, history, 0, records, room), "read a station's diagnoses")
-        return [records[i] for i in range(found)]
+        return [ffi.new("dpm_diagnosis *", records[i]) for i in range(found)]  # an element does not keep its array
 
     def info(self) -> Any:
         self.guard()
@@ -317,7 +317,8 @@ class Bus:
 
     def _profile(self) -> str:
         names = {getattr(lib, f"DPM_PROFILE_{theirs}"): ours or "auto" for ours, theirs in _PROFILES.items()}
-        return names[self.info().port.profile]
+        info = self.info()  # kept by a name: a struct inside a struct does not keep the outer one
+        return names[info.port.profile]
 
     def request(self, raw: Any, timeout: float | None) -> bool:
         """Carry out one ``dpm_raw``: True when it is done, False when `timeout` passed and it was taken back."""

@@ -113,8 +113,8 @@ def _alone(port: str, baudrate: int) -> float:
 
 
 def _echoes(master: Master) -> tuple[int, float]:
-    info = master._bus.info().port
-    return info.echoes, info.echo_late / NS
+    info = master._bus.info()
+    return info.port.echoes, info.port.echo_late / NS
 
 
 def _ask(master: Master, station: int) -> float | None:

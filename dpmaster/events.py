@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Event", "EventKind", "Events"]
 
+LOOK = 1.0  # s, longest stay in C: a Ctrl-C straight before the system call does not end it
+
 
 class EventKind(Named):
     """What happened (``enum dpm_event_kind``, which says what a, b and value hold)."""
@@ -186,7 +188,7 @@ class Events:
         with self._using():
             poll = select.poll()
             poll.register(self._fd, select.POLLIN)
-            poll.poll(None if timeout is None else timeout * 1000)
+            poll.poll(1000 * (LOOK if timeout is None else min(timeout, LOOK)))
 
     @contextmanager
     def _using(self) -> Iterator[None]:

@@ -607,12 +607,14 @@ class Master(Services):
     @property
     def data_transfer_list(self) -> frozenset[int]:
         """Data_Transfer_List: addresses of stations that were in data transfer within the last `data_control_time`."""
-        return _addresses(self._begun().data_transfer)
+        status = self._begun()
+        return _addresses(status.data_transfer)
 
     @property
     def system_diagnostic(self) -> frozenset[int]:
         """System_Diagnostic: addresses of active stations not in Data_Exchange, or whose diagnosis reports something."""
-        return _addresses(self._begun().system_diagnostic)
+        status = self._begun()
+        return _addresses(status.system_diagnostic)
 
     @property
     def master_status(self) -> MasterStatus:

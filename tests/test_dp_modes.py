@@ -209,7 +209,8 @@ def test_the_lists_name_who_transfers_and_who_needs_a_look():
     lib.dpm_master_activate(bus.master.master, 1, False, bus.script.now)
     bus.run(5)
     assert addresses(bus.master.status.system_diagnostic) == set(), "nobody looks for one that is deactivated"
-    assert bus.master.slave(1).diagnosis[1] & 0x80, "H.1: Deactivated is the master's own bit"
+    status = bus.master.slave(1)
+    assert status.diagnosis[1] & 0x80, "H.1: Deactivated is the master's own bit"
 
 
 def test_a_diagnosis_with_a_fault_is_in_system_diagnostic_while_data_go_on():

@@ -29,7 +29,8 @@ class History:
 
     def get(self, after: int = 0, room: int = 100) -> list[Any]:
         records = ffi.new("dpm_diagnosis[]", room)
-        return list(records[0 : lib.dpm_history_get(self.it, after, records, room)])
+        found = lib.dpm_history_get(self.it, after, records, room)
+        return [ffi.new("dpm_diagnosis *", records[i]) for i in range(found)]
 
 
 def octets(record: Any) -> bytes:

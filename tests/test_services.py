@@ -522,6 +522,14 @@ def test_a_master_nobody_keeps_unlocks_its_stations(wire: Segment, cards: list[E
     until(unlocked)
 
 
+def test_a_wait_for_events_comes_back_though_none_came(wire: Segment, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A signal between Python's last look for one and the system call is seen with the next look."""
+    monkeypatch.setattr("dpmaster.events.LOOK", 0.01)
+    with Master(wire.port()) as master, master.events() as events:
+        events._poll(None)
+        assert events.take(0.05) is None
+
+
 # ---- the command line
 
 

@@ -41,7 +41,8 @@ class Line(Host):
             for card in cards:
                 self._attach(card)
             check(lib.dpm_bus_start_slaves(self._object, self._slaves), "start a line")
-            self.scheduling = schedule(realtime, self._info().port.profile != lib.DPM_PROFILE_PTY,
+            info = self._info()
+            self.scheduling = schedule(realtime, info.port.profile != lib.DPM_PROFILE_PTY,
                                        partial(self._call, "realtime"), [self._block, self._slaves_block],
                                        f"the line on {self._path}")
             self._begin()
