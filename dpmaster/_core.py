@@ -153,6 +153,12 @@ def caller() -> int:
     return here.errand.thread if here.errand else threading.get_ident()
 
 
+def check_errand() -> None:
+    """Raise GivenUp in a thread whose errand nobody waits for any more."""
+    if here.errand is not None:
+        here.errand.check()
+
+
 def wait_slices(wait: Callable[[int, int], int], progress: Callable[[], int], ready: Callable[[], T | None],
                 timeout: float | None, each: Callable[[], None] | None = None) -> T | None:
     """Wait until `ready` returns something: that, or None when `timeout` (s; None: for ever) has passed.
@@ -161,12 +167,10 @@ def wait_slices(wait: Callable[[int, int], int], progress: Callable[[], int], re
     differs from `seen`. `each` runs before every stay in C, at least every 100 ms. Signal handlers run between stays, so
     Ctrl-C leaves as KeyboardInterrupt. What `wait` refuses (closed, forked) is raised.
     """
-    errand = here.errand
     _arguments.timeout(timeout)
     deadline = None if timeout is None else time.monotonic() + timeout
     while True:
-        if errand is not None:
-            errand.check()
+        check_errand()
         seen = progress()  # before `ready`: what changes in between ends the wait at once
         result = ready()
         if result is not None:

@@ -10,6 +10,7 @@ import logging
 import threading
 import time
 from collections.abc import Awaitable, Callable, Coroutine, Iterator
+from contextlib import ExitStack
 from typing import Any
 
 import pytest
@@ -235,6 +236,30 @@ def test_a_cancelled_access_leaves_the_parameter_channel_usable(wire: Segment, m
                     while True:
                         await drive.aio.read_parameter("n011")
             assert await drive.aio.read_parameter("n003") == 3
+
+    asyncio.run(program())
+
+
+def test_a_cancelled_access_leaves_the_queue_before_its_turn(wire: Segment, master: Master) -> None:
+    wire.attach(SIP1(address=6))
+    drive = master.add(YaskawaV7(6))
+    channel = drive._channel
+    assert channel
+
+    async def program() -> None:
+        await master.aio.operate()
+        with ExitStack() as turn:
+            turn.enter_context(channel._turn())
+            asyncio.get_running_loop().call_later(50 * SLICE, turn.close)  # so that a broken queue ends, too
+            task = asyncio.create_task(drive.aio.read_parameter("n003"))
+            while len(channel._queue) < 2:
+                await asyncio.sleep(0)
+            began = time.monotonic()
+            task.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await task
+            assert time.monotonic() - began < 10 * SLICE and len(channel._queue) == 1
+        assert await drive.aio.read_parameter("n003") == 3
 
     asyncio.run(program())
 

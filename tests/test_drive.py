@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import re
 import threading
 from typing import Any
 
@@ -12,9 +13,8 @@ import pytest
 from drive_bench import VirtualSIP3, VirtualV7
 
 from dpmaster.drives import Drive, DriveStatus, YaskawaSIP3, YaskawaV7
-from dpmaster.drives.channel import Channel
 from dpmaster.emulator.cards import SIP1, SIP3
-from dpmaster.errors import ConfigurationError, StationError
+from dpmaster.errors import ConfigurationError, DPTimeout, StationError
 from dpmaster.profiles import yaskawa_1000 as profile
 from dpmaster.profiles.yaskawa import Command
 
@@ -150,7 +150,8 @@ def test_a_loss_while_a_word_is_changed_carries_no_run_command_over(change: Any,
 
 
 def test_requests_are_served_in_the_order_they_came() -> None:
-    channel = Channel(v7(), 16)
+    channel = v7()._channel
+    assert channel
     order: list[int] = []
     queued = threading.Semaphore(0)
 
@@ -169,6 +170,25 @@ def test_requests_are_served_in_the_order_they_came() -> None:
     for thread in threads:
         thread.join(30.0)
     assert order == list(range(10))
+
+
+@pytest.mark.parametrize("name", [name for name in BENCHES if re.search(r"Extended|Type [125]", name)])
+def test_what_was_given_up_is_not_done_later(name: str) -> None:
+    """A card that looks at its channel only after the time-out finds nothing to do there, and serves the next request."""
+    drive = BENCHES[name]()
+    job = "_channel" if isinstance(drive, YaskawaV7) else "_job"
+    write, read, parameter = ((drive.write_parameter, drive.read_parameter, "n019") if isinstance(drive, YaskawaV7)
+                              else (drive.write_register, drive.read_register, "C1-01"))
+    channel = getattr(drive.card, job)
+    see, channel.see = channel.see, lambda *_: None
+    with pytest.raises(DPTimeout):
+        write(parameter, 50, timeout=0.3)
+    drive.exchange()
+    channel.see = see
+    drive.let_pass(1.0)
+    assert drive.card.registers[parameter] == 100
+    write(parameter, 60)
+    assert read(parameter) == 60 == drive.card.registers[parameter]
 
 
 @pytest.mark.parametrize("timeout", [0, -1, "1", None])

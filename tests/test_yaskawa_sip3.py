@@ -15,7 +15,7 @@ import pytest
 from drive_bench import Virtual, VirtualSIP3, VirtualV7
 
 from dpmaster.diagnosis import Diagnosis
-from dpmaster.drives import YaskawaSIP3
+from dpmaster.drives import YaskawaSIP3, channel
 from dpmaster.emulator.cards import SIP1, SIP3
 from dpmaster.errors import CommissioningError, ConfigurationError, DPTimeout, ParameterAccessError, StationError
 from dpmaster.profiles.ppo import StatusWord
@@ -417,8 +417,11 @@ def test_the_process_words_are_assigned() -> None:
     with pytest.raises(ConfigurationError, match="9 process words: PPO Type 5 has 8"):
         drive.assign_inputs(*[36] * 9)
     other = bench("PPO Type 2", card=drive.card)  # another program finds them so
+    assert other.status.monitors == {} and other.status.current is None, "what the words are for has yet to be read"
     other.run(percent=10)
     assert list(other.status.monitors)[:2] == ["U1-07", "U1-02"]
+    other._before_operate()
+    assert other.status.monitors == {}, "it may be another drive by now"
 
 
 def test_faults_by_name_and_their_history() -> None:
@@ -505,6 +508,31 @@ def test_the_late_answer_to_a_write_is_not_the_value_of_a_read(configuration: st
     drive.let_pass(pause)
     drive.write_register("d1-02", 3333)
     assert drive.read_register("d1-02") == 3333 == drive.card.registers.word(0x0281)
+
+
+@pytest.mark.parametrize(("scan", "settle"), [(0.0, 0.0), (0.010, 0.020)])
+@pytest.mark.parametrize("configuration", MEMOBUS)
+def test_init_ends_an_access_that_outlasts_the_settling_time(configuration: str, scan: float, settle: float,
+                                                             monkeypatch: pytest.MonkeyPatch) -> None:
+    """"INIT: clears the handshaking bit to 0". A drive that takes a tenth of a second shows the old HS so long; no settling
+    time would tell its late answer from the next one's. INIT needs none, but where a card looks seldom it has to stand."""
+    monkeypatch.setattr(channel, "SETTLE", settle)
+    drive = bench(configuration, cycle=0.001)
+    job = drive.card._job
+    plain, looked = job.see, [0.0]
+
+    def see(octets: bytes, where: Any, now: float) -> None:
+        if now >= looked[0] + scan:
+            looked[0] = now
+            plain(octets, where, now)
+
+    job.see = see
+    drive.card._random.uniform = lambda low, high: 0.1
+    for value in (1111, 2222, 3333):
+        with pytest.raises(DPTimeout):
+            drive.write_register("d1-01", value, timeout=0.050)
+        drive.write_register("d1-01", value + 1)
+        assert drive.read_register("d1-01") == value + 1 == drive.card.registers.word(0x0280)
 
 
 @pytest.mark.parametrize("configuration", ["PPO Type 1", *MEMOBUS])

@@ -115,7 +115,8 @@ def test_the_bus_cycle_does_not_matter(cycle: float) -> None:
 @pytest.mark.parametrize("lag", [0, 3, 12])
 @pytest.mark.parametrize("pause", [i * 0.0007 for i in range(28)])
 def test_after_a_time_out_the_channel_is_usable(pause: float, lag: int) -> None:
-    """Also where the card has not even looked at the request that was given up: its late mirror must not be believed."""
+    """Also where the card has not even looked at the request that was given up: its late mirror must not be believed. This
+    card has no INIT: the settling time alone shows it."""
     drive = bench(lag=lag)
     drive.card.registers[0x0200], drive.card.registers[0x0201] = 0x1111, 0x2222
     with pytest.raises(DPTimeout):
@@ -323,6 +324,30 @@ def test_parameters_are_read_once_and_again_after_operate() -> None:
     drive._before_operate()
     drive.run_forward(10.0)
     assert drive.now > before
+
+
+def test_units_are_read_anew_only_where_a_write_may_have_changed_them() -> None:
+    drive = bench(cycle=0.005)
+    drive.run_forward(30.0)
+    drive.wait_at_speed(10.0)
+    drive.write_parameter(0x0200, [1, 2])
+    assert drive.status.output_frequency == 30.0
+    drive.stop()
+    drive.wait_stopped(10.0)
+    drive["n020"] = 50
+    drive.write_parameter(0x0151, [1, 0])  # n081, and n082 behind it
+    before = drive.now
+    drive.run_forward(30.0)
+    assert drive.now == before and drive.outputs[2:4].hex() == "0bb8"
+    drive.stop()
+    drive.wait_stopped(10.0)
+    for register, words in (("n152", [0]), (0x0197, [0, 3])):  # n152 itself, and as the second of two
+        drive.write_parameter(register, words)
+        assert drive.status.output_frequency == 0.0
+        drive.run_forward(30.0)
+        assert drive.outputs[2:4].hex() == ("012c" if len(words) == 1 else "01f4")  # 0.1 Hz; 0.1 % of 60 Hz
+        drive.stop()
+        drive.wait_stopped(10.0)
 
 
 def test_after_a_loss_nothing_of_the_old_command_is_sent() -> None:

@@ -8,14 +8,15 @@ answer never came can be used again. Needs of a station what `Wire` names, and c
 from __future__ import annotations
 
 import threading
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Protocol, TypeVar
 
-from dpmaster import _arguments
+from dpmaster import _arguments, _core
 from dpmaster.drives.drive import SETTLE
-from dpmaster.errors import DPTimeout, OutputsDiscarded, ParameterAccessError, StationError
+from dpmaster.errors import DPError, DPTimeout, OutputsDiscarded, ParameterAccessError, StationError
 from dpmaster.profiles import pkw
 from dpmaster.profiles.yaskawa import (
     ACCESS_MEANINGS,
@@ -54,7 +55,7 @@ class Interrupted(StationError):
     """The outputs went safe while a request stood in them."""
 
 
-class Channel:
+class Channel(ABC):
     """A channel that carries one request at a time, in the order in which they came."""
 
     def __init__(self, wire: Wire, offset: int) -> None:
@@ -85,20 +86,34 @@ class Channel:
                         if self._asked and not again:
                             raise StationError(f"parameter channel: outputs went safe while {what} was under way; whether it "
                                                "was done is not known: read it back", reason="lost") from lost
-            except DPTimeout as late:
-                raise DPTimeout(f"parameter channel: no answer to {what} within {timeout:g} s; the channel can be used again "
-                                f"({late})") from late
+            except BaseException as late:
+                self._withdraw()
+                if isinstance(late, DPTimeout):
+                    raise DPTimeout(f"parameter channel: no answer to {what} within {timeout:g} s; the channel can be used "
+                                    f"again ({late})") from late
+                raise
+
+    def _withdraw(self) -> None:
+        """Nobody waits for the answer any more: a drive that looks only now shall find nothing to do."""
+        if self._held and not self._gone:
+            with suppress(DPError):
+                self._wire.update(self._offset, self._nothing())
+
+    @abstractmethod
+    def _nothing(self) -> bytes:
+        """The channel's octets when they ask for nothing."""
 
     @contextmanager
     def _turn(self) -> Iterator[None]:
-        """Wait until the requests that came before are through; each of them ends, by its own time-out at the latest."""
+        """Wait until the requests that came before are through; each of them ends, by its own time-out at the latest. Who
+        was given up leaves the queue."""
         ticket = object()
-        with self._moved:
-            self._queue.append(ticket)
-            self._moved.notify_all()
         try:
             with self._moved:
-                self._moved.wait_for(lambda: self._queue[0] is ticket)
+                self._queue.append(ticket)
+                self._moved.notify_all()
+                while not self._moved.wait_for(lambda: self._queue[0] is ticket, _core.SLICE):
+                    _core.check_errand()
             yield
         finally:
             with self._moved:
@@ -184,11 +199,11 @@ class ParameterChannel(Channel):
 
         The late mirror of an access that was given up can still change the response's HS: then the card is given time to
         have looked, and if HS has moved it is done once more. Function 00h keeps such a crossing from being taken for a
-        request. A card that has the bit for it is told to clear HS first.
+        request. A card that has the bit for it is told to clear HS first, which ends what it may still be busy with.
         """
         if self._abandoned and self._init:
             self._message(Access(Function.NONE), self._init)
-            self._wait(lambda f: self._hs(f) == 0)
+            self._after(self._wait(lambda f: self._hs(f) == 0))
         while True:
             hs = self._hs(self._wait(lambda f: True))
             self._message(Access(Function.NONE), hs)
@@ -204,9 +219,16 @@ class ParameterChannel(Channel):
         return frame.octets[self._where.handshake] & HS
 
     def _message(self, request: Access, hs: int) -> None:
-        """Put the whole area there - message, reserved octets 0, handshake register."""
+        self._put(self._area(request, hs))
+
+    def _area(self, request: Access, hs: int) -> bytes:
+        """The whole area: message, reserved octets 0, handshake register."""
         message = request.encode(self._where.words)
-        self._put(message.ljust(self._where.handshake - self._where.offset, b"\0") + bytes((hs,)))
+        return message.ljust(self._where.handshake - self._where.offset, b"\0") + bytes((hs,))
+
+    def _nothing(self) -> bytes:
+        """Function 00h, and HS as it stands: its toggle may have been seen."""
+        return self._area(Access(Function.NONE), self._held[-1] & HS)
 
     def _judge(self, request: Access, answer: Access) -> tuple[int, ...]:
         """The data of a good answer; an error answer and one that does not belong to the request are raised."""
@@ -254,7 +276,10 @@ class PKWChannel(Channel):
                 self._asked = any(requester.octets)
                 self._put(requester.octets)
                 self._wait(lambda f: requester.see(f.octets[self._offset:self._offset + pkw.LENGTH], f.time))
-            self._wire.update(self._offset, bytes(pkw.LENGTH))
+            self._wire.update(self._offset, self._nothing())
             return requester.answer
         finally:
             requester.give_up()
+
+    def _nothing(self) -> bytes:
+        return bytes(pkw.LENGTH)

@@ -141,7 +141,11 @@ class _PPO:
         self.layout = layout.ppo
         names = ["command", "frequency_reference", *(f"pzd{n}" for n in range(3, self.layout.words + 1))]
         self.words = {name: self.layout.offset(n) for n, name in enumerate(names, 1)}
-        self.assigned: tuple[int, ...] = profile.ASSIGNED_READ
+        self.forget()
+
+    def forget(self) -> None:
+        """What the drive's PNU 916 says is not known: nothing, or without a channel to read it, what it says by default."""
+        self.assigned: tuple[int, ...] = () if self.layout.pkw else profile.ASSIGNED_READ
 
     _MOVE = profile.RUN | profile.JOG_FORWARD | profile.JOG_REVERSE
 
@@ -542,7 +546,8 @@ class YaskawaSIP3(Drive[SIP3Status]):
 
     def read_array(self, pnu: int, *, timeout: float = _ANSWERED) -> tuple[int, ...]:
         """All elements of one of the profile's arrays, which begin with 1 (900 to 964)."""
-        return tuple(self.read_pnu(pnu, index, timeout=timeout) for index in range(1, self.elements(pnu) + 1))
+        elements = self.elements(pnu, timeout=timeout)
+        return tuple(self.read_pnu(pnu, index, timeout=timeout) for index in range(1, elements + 1))
 
     def _task(self, task: pkw.Task, pnu: int, index: int, value: int = 0, timeout: float = _ANSWERED) -> int:
         channel = self._need_channel("parameter numbers")
@@ -642,6 +647,8 @@ class YaskawaSIP3(Drive[SIP3Status]):
 
     def _before_operate(self) -> list[str]:
         self._facts = None  # the drive may have been another one, or set otherwise
+        if isinstance(self._format, _PPO):
+            self._format.forget()
         self._heard = False
         return [self._address_warning] if self._address_warning else []
 

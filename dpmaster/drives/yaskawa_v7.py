@@ -13,12 +13,7 @@ from typing import TYPE_CHECKING, Literal, overload
 from dpmaster._arguments import number
 from dpmaster.drives.channel import ParameterChannel
 from dpmaster.drives.drive import Drive, ParameterInfo, Terminals, flags_and_values
-from dpmaster.errors import (
-    CommissioningError,
-    ConfigurationError,
-    DPTimeout,
-    ParameterAccessError,
-)
+from dpmaster.errors import CommissioningError, ConfigurationError, DPTimeout
 from dpmaster.profiles.yaskawa import (
     CONTROL,
     CURRENT_UNIT,
@@ -52,7 +47,8 @@ MAX_TSDR: Mapping[int, int] = {
 }
 """MaxTsdr of YASK00CA.GSD, bit times by rate."""
 
-_UNIT_PARAMETERS = ("n003", "n004", "n011", "n035", "n152")
+_FACTS = ("n003", "n004", "n011", "n035", "n152")
+_SCALING = {register(name) for name in (*_FACTS, "n001")}  # n001 can initialise all of them
 
 
 @dataclass(frozen=True)
@@ -217,7 +213,7 @@ class YaskawaV7(Drive[V7Status]):
         """n003, n004, n011, n035 and n152, read once."""
         facts = self._facts
         if facts is None:
-            facts = {name: self.read_parameter(name) for name in _UNIT_PARAMETERS}
+            facts = {name: self.read_parameter(name) for name in _FACTS}
             self._facts = facts
         return facts
 
@@ -356,15 +352,12 @@ class YaskawaV7(Drive[V7Status]):
         for word in values:
             if isinstance(word, bool) or not isinstance(word, int) or not 0 <= word <= 0xFFFF:
                 raise ConfigurationError(f"write_parameter {name!r}: {word!r} is no word, 0 to 65535")
-        refused = False
+        first = register(name)
         try:
-            channel.access(Function.WRITE, register(name), 2 * len(values), values, timeout)
-        except ParameterAccessError:
-            refused = True
-            raise
+            channel.access(Function.WRITE, first, 2 * len(values), values, timeout)
         finally:
-            if not refused:
-                self._facts = None  # it may have been one of them, or scale one of them
+            if not _SCALING.isdisjoint(range(first, first + len(values))):
+                self._facts = None
 
     def _check_count(self, count: int, channel: ParameterChannel) -> None:
         if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= channel.words:
