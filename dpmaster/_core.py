@@ -10,18 +10,14 @@ from __future__ import annotations
 
 import mmap
 import os
-import threading
 import time
 from collections.abc import Callable
 from datetime import datetime, timedelta
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
-from dpmaster import _arguments, errors
+from dpmaster import _arguments, _errand, errors
 from dpmaster._dpm import ffi as _ffi
 from dpmaster._dpm import lib as _lib
-
-if TYPE_CHECKING:
-    from asyncio import AbstractEventLoop
 
 ffi: Any = _ffi
 lib: Any = _lib
@@ -29,7 +25,6 @@ lib: Any = _lib
 T = TypeVar("T")
 
 NS = 1_000_000_000
-SLICE = 0.1  # s, longest stay in C: Ctrl-C is answered and the output watchdog fed at least so often
 
 _PORT = ("NO_PORT", "PERMISSION", "IN_USE", "NOT_TTY", "SETTINGS", "RATE", "RS485", "GONE", "SYSTEM")
 _KINDS: dict[type[errors.DPError], tuple[str, ...]] = {
@@ -105,60 +100,6 @@ class Process:
                 "new one here, or start children with the 'spawn' method", dpm_code=lib.DPM_E_FORKED)
 
 
-class GivenUp(BaseException):
-    """Ends a wait whose errand nobody waits for any more. No ``except Exception`` on the way may stop it."""
-
-
-class Errand:
-    """What a thread does on behalf of an event loop, which lives in `thread`. Once it is given up, its waits end."""
-
-    def __init__(self, loop: AbstractEventLoop, thread: int) -> None:
-        self.thread = thread
-        self.given_up = False
-        self._loop = loop
-        self._passed_on = False
-
-    def check(self) -> None:
-        """Raise GivenUp when nobody waits for it any more."""
-        if self.given_up or self._loop.is_closed():
-            raise GivenUp
-
-    def post(self, callback: Callable[[], None]) -> None:
-        """Let the loop run `callback` in its thread. A loop that was closed in the middle has given up what it wanted."""
-        try:
-            self._loop.call_soon_threadsafe(callback)
-        except RuntimeError:
-            self.given_up = True
-
-    def pass_on(self, callback: Callable[[], None]) -> None:
-        """`post`, unless the loop has yet to run the one before."""
-        def run() -> None:
-            self._passed_on = False
-            callback()
-
-        if not self._passed_on:
-            self._passed_on = True
-            self.post(run)
-
-
-class _Here(threading.local):
-    errand: Errand | None = None
-
-
-here = _Here()  # of this thread
-
-
-def caller() -> int:
-    """The thread on whose account this one acts: its own, or that of the event loop it does an errand for."""
-    return here.errand.thread if here.errand else threading.get_ident()
-
-
-def check_errand() -> None:
-    """Raise GivenUp in a thread whose errand nobody waits for any more."""
-    if here.errand is not None:
-        here.errand.check()
-
-
 def wait_slices(wait: Callable[[int, int], int], progress: Callable[[], int], ready: Callable[[], T | None],
                 timeout: float | None, each: Callable[[], None] | None = None) -> T | None:
     """Wait until `ready` returns something: that, or None when `timeout` (s; None: for ever) has passed.
@@ -170,12 +111,12 @@ def wait_slices(wait: Callable[[int, int], int], progress: Callable[[], int], re
     _arguments.timeout(timeout)
     deadline = None if timeout is None else time.monotonic() + timeout
     while True:
-        check_errand()
+        _errand.check()
         seen = progress()  # before `ready`: what changes in between ends the wait at once
         result = ready()
         if result is not None:
             return result
-        left = SLICE if deadline is None else min(SLICE, deadline - time.monotonic())
+        left = _errand.SLICE if deadline is None else min(_errand.SLICE, deadline - time.monotonic())
         if left <= 0:
             return None
         if each is not None:

@@ -25,7 +25,7 @@ import threading
 from collections.abc import AsyncIterator, Callable, Coroutine
 from typing import TYPE_CHECKING, Any, Concatenate, Generic, ParamSpec, TypeVar, overload
 
-from dpmaster._core import Errand, GivenUp, here
+from dpmaster._errand import Errand, GivenUp, here
 from dpmaster.cycles import Cycle
 from dpmaster.events import Event, Events
 from dpmaster.master import Master

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from dpmaster import _arguments, _core
+from dpmaster import _arguments, _core, _errand
 from dpmaster._core import NS, ffi, lib
 from dpmaster._names import Named
 from dpmaster.errors import ClosedError, ConfigurationError, PortError
@@ -364,12 +364,12 @@ class Bus:
         """Tell the output watchdog that the program lives. A commit, and operate(), name the thread whose waits do so too."""
         if self.master is not None:
             if by in (Feed.COMMIT, Feed.OPERATE):
-                self.fed_thread = _core.caller()
+                self.fed_thread = _errand.caller()
             lib.dpm_master_feed(self.master, _core.now(), by)
 
     def feed_from_wait(self) -> None:
         """A wait feeds in the thread of the last commit. On an errand the loop's thread does it, if it lives."""
-        errand = _core.here.errand
+        errand = _errand.here.errand
         if errand is not None:
             errand.pass_on(self.feed_from_wait)
         elif threading.get_ident() == self.fed_thread:

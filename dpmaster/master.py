@@ -20,7 +20,7 @@ from collections.abc import Mapping, MutableMapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from dpmaster import _arguments, _core
+from dpmaster import _arguments, _errand
 from dpmaster._core import NS, ffi, lib
 from dpmaster.bus import Bus, FdlState, Feed, Mode, PortStatistics
 from dpmaster.cycles import Cycles, Lateness
@@ -424,7 +424,7 @@ class Master(Services):
             raise self._missing_error(missing, time.monotonic() - begin)
         if self.mode != Mode.OPERATE:  # again while it operates would take the watchdog's last feed for a new start
             self._bus.set_mode(Mode.OPERATE)
-            self._bus.fed_thread = _core.caller()
+            self._bus.fed_thread = _errand.caller()
         self._await_mode(Mode.OPERATE, LEAVE_TIME)
         for station in self.stations:
             if station.state == StationState.DATA:

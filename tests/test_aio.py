@@ -30,7 +30,7 @@ from dpmaster import (
     Station,
     StationError,
 )
-from dpmaster._core import SLICE
+from dpmaster._errand import SLICE
 from dpmaster.aio import AsyncMaster, AsyncStation, call
 from dpmaster.bus import Feed
 from dpmaster.drives import YaskawaV7

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from typing import Protocol, TypeVar
 
-from dpmaster import _arguments, _core
+from dpmaster import _arguments, _errand
 from dpmaster.drives.drive import SETTLE
 from dpmaster.errors import DPError, DPTimeout, OutputsDiscarded, ParameterAccessError, StationError
 from dpmaster.profiles import pkw
@@ -112,8 +112,7 @@ class Channel(ABC):
             with self._moved:
                 self._queue.append(ticket)
                 self._moved.notify_all()
-                while not self._moved.wait_for(lambda: self._queue[0] is ticket, _core.SLICE):
-                    _core.check_errand()
+                _errand.wait_for(self._moved, lambda: self._queue[0] is ticket)
             yield
         finally:
             with self._moved:
