@@ -16,7 +16,7 @@ from dpmaster.drives import Drive, DriveStatus, YaskawaSIP3, YaskawaV7
 from dpmaster.emulator.cards import SIP1, SIP3
 from dpmaster.errors import ConfigurationError, DPTimeout, StationError
 from dpmaster.profiles import yaskawa_1000 as profile
-from dpmaster.profiles.yaskawa import Command
+from dpmaster.profiles.yaskawa_v7 import Command
 
 FACES: dict[str, type[Drive[Any]]] = {"v7": YaskawaV7, "si-p3": YaskawaSIP3}
 
@@ -176,15 +176,14 @@ def test_requests_are_served_in_the_order_they_came() -> None:
 def test_what_was_given_up_is_not_done_later(name: str) -> None:
     """A card that looks at its channel only after the time-out finds nothing to do there, and serves the next request."""
     drive = BENCHES[name]()
-    job = "_channel" if isinstance(drive, YaskawaV7) else "_job"
     write, read, parameter = ((drive.write_parameter, drive.read_parameter, "n019") if isinstance(drive, YaskawaV7)
                               else (drive.write_register, drive.read_register, "C1-01"))
-    channel = getattr(drive.card, job)
-    see, channel.see = channel.see, lambda *_: None
+    job = drive.card._job
+    see, job.see = job.see, lambda *_: None
     with pytest.raises(DPTimeout):
         write(parameter, 50, timeout=0.3)
     drive.exchange()
-    channel.see = see
+    job.see = see
     drive.let_pass(1.0)
     assert drive.card.registers[parameter] == 100
     write(parameter, 60)

@@ -19,7 +19,7 @@ from dpmaster.drives import Drive, YaskawaSIP3, YaskawaV7
 from dpmaster.emulator import Segment
 from dpmaster.emulator.cards import SIP1, SIP3
 from dpmaster.errors import StationError
-from dpmaster.profiles import yaskawa, yaskawa_1000
+from dpmaster.profiles import yaskawa_1000, yaskawa_v7
 
 PATIENCE = 30.0
 
@@ -31,7 +31,7 @@ class Bus:
         self.wire = Segment(ports=1, cards=32)
         self.cards: dict[str, Any] = {}
         drives: dict[str, Drive[Any]] = {}
-        for address, layout in enumerate(yaskawa.CONFIGURATIONS, 10):
+        for address, layout in enumerate(yaskawa_v7.CONFIGURATIONS, 10):
             card = self.wire.attach(SIP1(address))
             card.registers["n019"] = card.registers["n020"] = 5
             drives[f"V7, {layout.name}"], self.cards[f"V7, {layout.name}"] = YaskawaV7(address, layout.name, watchdog=5.0), card

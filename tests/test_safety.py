@@ -23,7 +23,7 @@ from slow_decoder import whole
 
 from dpmaster.emulator import Exchange, Segment, SlaveState
 from dpmaster.emulator.cards import SIP1
-from dpmaster.profiles.yaskawa import Command
+from dpmaster.profiles.yaskawa_v7 import Command
 
 PATIENCE = 30.0  # s; only a failing test waits so long
 LATE = 2.0  # s that a loaded machine may be late

@@ -9,7 +9,7 @@ import pytest
 from sip3_host import HALT, JOG, RESET, REVERSE_JOG, RUN, Host
 
 from dpmaster.emulator.card import Exchange, SlaveState
-from dpmaster.emulator.cards import SIP3, sip3
+from dpmaster.emulator.cards import SIP3, _yaskawa
 from dpmaster.errors import ConfigurationError
 from dpmaster.profiles import yaskawa_1000 as profile
 from dpmaster.profiles.yaskawa_1000 import YASKAWA_1000, Parameter
@@ -23,7 +23,7 @@ RUNNING, ZERO, REVERSE, AGREE, READY, ALARM, FAULT, NET = 0x01, 0x02, 0x04, 0x10
 @pytest.fixture(autouse=True)
 def _seldom(monkeypatch: pytest.MonkeyPatch) -> None:
     """Look at a ramp under way twice a second: it is computed, so how often it is looked at shows nowhere."""
-    monkeypatch.setattr(sip3, "SCAN", 0.5)
+    monkeypatch.setattr(_yaskawa, "SCAN", 0.5)
 
 
 # -- The seven PKW examples of chapter 8 ---------------------------------------------------------------------------------

@@ -8,13 +8,14 @@ import pytest
 
 from dpmaster.drives.yaskawa_v7 import MAX_TSDR
 from dpmaster.errors import ConfigurationError
-from dpmaster.profiles import yaskawa
-from dpmaster.profiles.yaskawa import Access, Command, FrequencyUnit, Output, Status
+from dpmaster.profiles import yaskawa, yaskawa_v7
+from dpmaster.profiles.yaskawa import Access, FrequencyUnit
+from dpmaster.profiles.yaskawa_v7 import Command, Output, Status
 
 
 def test_gsd_modules() -> None:
     """GSD file: Module = "Basic data" 0x72, "Extended Data 1" 0x5F, 0x6F, "Extended Data 2" 0x55, 0x65."""
-    assert [(c.name, c.identifier.hex(), c.size) for c in yaskawa.CONFIGURATIONS] == [
+    assert [(c.name, c.identifier.hex(), c.size) for c in yaskawa_v7.CONFIGURATIONS] == [
         ("Basic data", "72", 6), ("Extended Data 1", "5f6f", 32), ("Extended Data 2", "5565", 12)]
 
 
@@ -25,7 +26,7 @@ def test_gsd_max_tsdr() -> None:
 
 
 def test_table_3_1_16_word_message() -> None:
-    c = yaskawa.EXTENDED_DATA_1
+    c = yaskawa_v7.EXTENDED_DATA_1
     assert dict(c.outputs) == {"command": 0, "frequency_reference": 2, "multi_function_output": 14}
     assert dict(c.inputs) == {"status": 0, "frequency_reference": 8, "output_frequency": 10, "output_current": 12,
                               "pulse_train": 14}
@@ -35,7 +36,7 @@ def test_table_3_1_16_word_message() -> None:
 
 def test_table_3_7_6_word_message() -> None:
     """Prints 13 octets; `55 65` says 12, so the handshake register is octet 11. Word 1 of the inputs is the feedback."""
-    c = yaskawa.EXTENDED_DATA_2
+    c = yaskawa_v7.EXTENDED_DATA_2
     assert dict(c.outputs) == {"command": 0, "frequency_reference": 2}
     assert dict(c.inputs) == {"status": 0, "output_frequency": 2}
     assert c.channel is not None
@@ -43,7 +44,7 @@ def test_table_3_7_6_word_message() -> None:
 
 
 def test_table_3_12_3_word_message() -> None:
-    c = yaskawa.BASIC_DATA
+    c = yaskawa_v7.BASIC_DATA
     assert dict(c.outputs) == {"command": 0, "frequency_reference": 2, "torque_reference": 4}
     assert dict(c.inputs) == {"status": 0, "frequency_reference": 2, "torque_reference": 4}
     assert c.channel is None
@@ -81,7 +82,7 @@ def test_tables_3_4_3_5_3_10_and_3_11_access_messages() -> None:
     assert Access(0x03, 0x0037, 2).encode(4).hex() == "03003702" + "0000" * 4
     assert Access(0x10, 0x1234, 8, (0x5678, 2, 3, 4)).encode(4).hex() == "10123408" + "5678000200030004"
     assert Access(0x10, 0x0105, 2, (1,)).encode(1).hex() == "100105020001"
-    where = yaskawa.EXTENDED_DATA_1.channel
+    where = yaskawa_v7.EXTENDED_DATA_1.channel
     assert where is not None
     image = bytes(16) + bytes.fromhex("83000002000200000000000000000000")
     assert Access.decode(image, where) == Access(0x83, 0, 2, (2, 0, 0, 0))
@@ -106,20 +107,20 @@ def test_tables_3_16_and_3_17_handshake_registers() -> None:
 @pytest.mark.parametrize(("name", "address"), [("n003", 0x103), ("n004", 0x104), ("n035", 0x123), ("n152", 0x198)])
 def test_table_1_5_register_addresses(name: str, address: int) -> None:
     """103h n003, 104h n004, 123h n035; n152 by the same rule."""
-    assert yaskawa.register(name) == yaskawa.register(f"{address:04X}h") == yaskawa.register(address) == address
-    assert yaskawa.register_name(address) == name
+    assert yaskawa_v7.register(name) == yaskawa_v7.register(f"{address:04X}h") == yaskawa_v7.register(address) == address
+    assert yaskawa_v7.register_name(address) == name
 
 
 @pytest.mark.parametrize("name", ["", "n3", "003", "n0003", "U1-01", -1, 65536, True, 3.0])
 def test_what_is_no_register_says_how_it_is_written(name: object) -> None:
     with pytest.raises(ConfigurationError, match="like 'n003'"):
-        yaskawa.register(name)  # type: ignore[arg-type]
+        yaskawa_v7.register(name)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("name", "default", "values"), [
     ("n003", 1, range(4)), ("n004", 2, range(10)), ("n035", 0, range(4000)), ("n152", 0, range(4))])
 def test_tables_1_5_and_1_10_to_1_13_parameters(name: str, default: int, values: range) -> None:
-    parameter = yaskawa.PARAMETERS[yaskawa.register(name)]
+    parameter = yaskawa_v7.PARAMETERS[yaskawa_v7.register(name)]
     assert (parameter.default, parameter.minimum, parameter.maximum) == (default, values[0], values[-1])
 
 
@@ -128,7 +129,7 @@ def test_tables_1_5_and_1_10_to_1_13_parameters(name: str, default: int, values:
     (1, 1, 30.0, 500), (2, 1, 30.0, 1800), (4, 1, 30.0, 900), (39, 1, 60.0, 185)])
 def test_tables_1_12_and_1_13_frequency_units(n035: int, n152: int, hz: float, word: int) -> None:
     """n152: 0 0.1 Hz, 1 0.01 Hz, 2 100% / 30,000, 3 0.1%; n035: 1 0.1%, 2 - 39 rpm (number of motor poles)."""
-    unit = FrequencyUnit.of(n035, n152, 60.0)
+    unit = yaskawa_v7.frequency_unit(n035, n152, 60.0)
     assert unit.to_bus(hz) == word
     assert unit.to_hz(word) == pytest.approx(hz, rel=0.003)
 
@@ -136,7 +137,7 @@ def test_tables_1_12_and_1_13_frequency_units(n035: int, n152: int, hz: float, w
 @pytest.mark.parametrize(("n035", "n152"), [(40, 1), (3999, 0), (0, 4)])
 def test_a_unit_that_no_table_defines_is_an_error(n035: int, n152: int) -> None:
     with pytest.raises(ConfigurationError, match=rf"n035 = {n035}, n152 = {n152}.*set n035"):
-        FrequencyUnit.of(n035, n152, 60.0)
+        yaskawa_v7.frequency_unit(n035, n152, 60.0)
 
 
 def test_what_does_not_fit_a_word_is_an_error() -> None:
@@ -146,9 +147,9 @@ def test_what_does_not_fit_a_word_is_an_error() -> None:
 
 
 def test_configuration_names() -> None:
-    assert yaskawa.configuration("extended  DATA 1") is yaskawa.EXTENDED_DATA_1
+    assert yaskawa_v7.configuration("extended  DATA 1") is yaskawa_v7.EXTENDED_DATA_1
     with pytest.raises(ConfigurationError, match=r"'Extended Data 3'.*'Basic data', 'Extended Data 1', 'Extended Data 2'"):
-        yaskawa.configuration("Extended Data 3")
+        yaskawa_v7.configuration("Extended Data 3")
 
 
 def test_table_1_8_led_diagnostics() -> None:
@@ -158,20 +159,20 @@ def test_table_1_8_led_diagnostics() -> None:
         "Drive Error": "solid green|off|solid red|flashing red", "Com Error": "solid green|off|flashing red|solid green",
         "CPU Init": "solid green|solid green|off|solid green", "Normal": "solid green|solid green|off|flashing green"}
     for name, row in expected.items():
-        leds = yaskawa.LED_ROWS[name]
+        leds = yaskawa_v7.LED_ROWS[name]
         assert [leds.pwr, leds.comm, leds.err, leds.wd] == (row.split("|") if "|" in row else row.split())
 
 
 def test_table_1_9_drive_faults() -> None:
-    assert list(yaskawa.FAULTS) == ["BUS", "EF0", "F06", "F21", "F22", "F23"]
+    assert list(yaskawa_v7.FAULTS) == ["BUS", "EF0", "F06", "F21", "F22", "F23"]
 
 
 @pytest.mark.parametrize("address", [0, 100, 126, -1, "5", True])
 def test_addresses_that_the_switches_cannot_set(address: object) -> None:
     with pytest.raises(ConfigurationError, match=r"1 to 99"):
-        yaskawa.check_address(address)  # type: ignore[arg-type]
+        yaskawa_v7.check_address(address)  # type: ignore[arg-type]
 
 
 def test_addresses_below_3_are_warned_of() -> None:
-    assert "masters" in (yaskawa.check_address(2) or "")
-    assert yaskawa.check_address(3) is None and yaskawa.check_address(99) is None
+    assert "masters" in (yaskawa_v7.check_address(2) or "")
+    assert yaskawa_v7.check_address(3) is None and yaskawa_v7.check_address(99) is None

@@ -129,7 +129,7 @@ def test_after_a_time_out_the_channel_is_usable(pause: float, lag: int) -> None:
 
 def test_a_card_that_never_answers_is_a_timeout_that_says_so() -> None:
     drive = bench()
-    drive.card._channel.see = lambda *_: None  # type: ignore[method-assign]
+    drive.card._job.see = lambda *_: None  # type: ignore[method-assign]
     with pytest.raises(DPTimeout, match=r"no answer to function 03h on n003 within 0.2 s; the channel can be used again"):
         drive.read_parameter("n003", timeout=0.2)
 

@@ -27,7 +27,6 @@ from dpmaster.profiles.yaskawa import (
     ChannelMap,
     Function,
     Transfer,
-    register_name,
 )
 from dpmaster.station import Frame
 
@@ -156,7 +155,7 @@ class ParameterChannel(Channel):
     that clears HS, 0 where the card has none.
     """
 
-    def __init__(self, wire: Wire, where: ChannelMap, name: Callable[[int], str] = register_name,
+    def __init__(self, wire: Wire, where: ChannelMap, name: Callable[[int], str], *,
                  done: int = Transfer.RECEIVED, init: int = 0) -> None:
         super().__init__(wire, where.offset)
         self._where = where

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """A Yaskawa V7 with the SI-P1 option card, driven in plain Python.
 
-What it shares with every drive is in `Drive`; here are its words, bits, units and parameters, from `profiles.yaskawa`.
+What it shares with every drive is in `Drive`; here are its words, bits, units and parameters, from `profiles.yaskawa_v7`.
 """
 
 from __future__ import annotations
@@ -15,27 +15,30 @@ from dpmaster.drives.channel import ParameterChannel
 from dpmaster.drives.drive import Drive, ParameterInfo, Terminals, flags_and_values
 from dpmaster.errors import CommissioningError, ConfigurationError, DPTimeout
 from dpmaster.profiles.yaskawa import (
+    HIGHEST_FREQUENCY,
+    WD_MODULUS,
+    WD_PERIOD,
+    WD_SHIFT,
+    FrequencyUnit,
+    Function,
+    WordOrder,
+    get_word,
+)
+from dpmaster.profiles.yaskawa_v7 import (
     CONTROL,
     CURRENT_UNIT,
-    HIGHEST_FREQUENCY,
     INPUT_TERMINALS,
     OUTPUT_TERMINALS,
     PARAMETERS,
     TORQUE_UNIT,
-    WD_MODULUS,
-    WD_PERIOD,
-    WD_SHIFT,
     Command,
-    FrequencyUnit,
-    Function,
     Status,
-    WordOrder,
     check_address,
-    get_word,
+    frequency_unit,
     register,
     register_name,
 )
-from dpmaster.profiles.yaskawa import configuration as find_configuration
+from dpmaster.profiles.yaskawa_v7 import configuration as find_configuration
 from dpmaster.station import Frame
 
 if TYPE_CHECKING:
@@ -137,7 +140,7 @@ class YaskawaV7(Drive[V7Status]):
                          layout=self._layout.name, word_order=word_order, name=name, watchdog=watchdog,
                          max_tsdr=MAX_TSDR, group=group, sync=sync, freeze=freeze, fail_safe=False,
                          min_slave_interval=1, active=active)
-        self._channel = ParameterChannel(self, self._layout.channel) if self._layout.channel else None
+        self._channel = ParameterChannel(self, self._layout.channel, register_name) if self._layout.channel else None
 
     def _check_unit(self, unit: str | FrequencyUnit | None) -> FrequencyUnit | None:
         if self._layout.channel:
@@ -221,7 +224,7 @@ class YaskawaV7(Drive[V7Status]):
         if self._fixed_unit:
             return self._fixed_unit
         facts = self._know()
-        return FrequencyUnit.of(facts["n035"], facts["n152"], facts["n011"] / 10)
+        return frequency_unit(facts["n035"], facts["n152"], facts["n011"] / 10)
 
     def _maximum(self) -> float:
         return self._facts["n011"] / 10 if self._channel and self._facts else HIGHEST_FREQUENCY

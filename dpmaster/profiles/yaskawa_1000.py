@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """The SI-P3 option card in a Yaskawa V1000 or A1000 as both sides of the wire see it: words, parameter numbers, registers.
 
-Tables are those of the option's technical manual, SIEP C730600 42. What the older card has in common with it is taken from
-`yaskawa` (MEMOBUS messages, handshake bits), what every drive of the profile has from `ppo` and `pkw`. Pure data and
-arithmetic; touches nothing but `dpmaster.errors`.
+Tables are those of the option's technical manual, SIEP C730600 42. What the older card has in common with it is in
+`yaskawa`, what every drive of the profile has in `ppo` and `pkw`. Pure data and arithmetic; touches nothing but
+`dpmaster.errors`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,15 @@ from dpmaster.errors import ConfigurationError
 from dpmaster.profiles import ppo
 from dpmaster.profiles.pkw import Error
 from dpmaster.profiles.ppo import PPO, ControlWord
-from dpmaster.profiles.yaskawa import AccessCode, ChannelMap, Configuration, FrequencyUnit
+from dpmaster.profiles.yaskawa import (
+    LAST_REGISTER,
+    AccessCode,
+    ChannelMap,
+    Configuration,
+    FrequencyUnit,
+    find,
+    judge_address,
+)
 
 IDENT_NUMBER = 0x0ACF
 USER_PARAMETERS = bytes((0x40, 0x01, 0x00, 0x01))
@@ -82,20 +90,12 @@ CONFIGURATIONS: tuple[Configuration | PPOModule, ...] = (*CONVENTIONAL, *PPO_MOD
 
 def configuration(name: str) -> Configuration | PPOModule:
     """The configuration of that name, in any case."""
-    for candidate in CONFIGURATIONS:
-        if candidate.name.casefold() == " ".join(str(name).split()).casefold():
-            return candidate
-    names = ", ".join(repr(candidate.name) for candidate in CONFIGURATIONS)
-    raise ConfigurationError(f"configuration {name!r}: the card knows {names}")
+    return find(name, CONFIGURATIONS)
 
 
 def check_address(address: int) -> str | None:
     """Judge a node address by F6-30: an error outside 1..125, a warning (returned) below 3."""
-    if isinstance(address, bool) or not isinstance(address, int) or not 1 <= address <= 125:
-        raise ConfigurationError(f"address {address!r}: F6-30 takes 1 to 125 (0 lights ERR)")
-    if address < 3:
-        return f"address {address}: the manual keeps 0, 1 and 2 for masters and diagnostic equipment; drives take 3 to 125"
-    return None
+    return judge_address(address, 125, "F6-30 takes 1 to 125 (0 lights ERR)")
 
 
 # -- Words of the conventional formats (tables 10 and 11) ----------------------------------------------------------------
@@ -279,7 +279,6 @@ def diagnosis(conditions: Condition) -> bytes:
 # -- Registers and parameters --------------------------------------------------------------------------------------------
 
 Access = Literal["rw", "r", "w"]
-LAST_REGISTER = 0x0600
 ENTER_ROM, ENTER_RAM = 0x0900, 0x0910
 """Registers of the Enter command: written parameters come into force, and with 0900h into the EEPROM."""
 

@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterable, Iterator, MutableMapping, Set
 
 from dpmaster.errors import ConfigurationError
 from dpmaster.profiles import yaskawa_1000 as profile
-from dpmaster.profiles.yaskawa import AccessCode
-from dpmaster.profiles.yaskawa_1000 import LAST_REGISTER, Table
+from dpmaster.profiles.yaskawa import LAST_REGISTER, AccessCode
+from dpmaster.profiles.yaskawa_1000 import Table
 
 
 def _join(words: Iterable[int]) -> int:

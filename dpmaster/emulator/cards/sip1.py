@@ -9,54 +9,43 @@ from __future__ import annotations
 
 import logging
 import math
-import random
-import threading
 from collections.abc import Iterator, MutableMapping
-from typing import Literal
 
-from dpmaster.emulator.card import Card, Exchange, SlaveState
+from dpmaster.emulator.card import Exchange, SlaveState
+from dpmaster.emulator.cards._yaskawa import Commissioning, Handshake, YaskawaCard
 from dpmaster.emulator.motor import Motor
 from dpmaster.errors import ConfigurationError
 from dpmaster.profiles.yaskawa import (
+    LAST_REGISTER,
+    Access,
+    AccessCode,
+    Configuration,
+    FrequencyUnit,
+    Function,
+    WordOrder,
+    get_word,
+)
+from dpmaster.profiles.yaskawa_v7 import (
     COMMISSIONED,
     CONFIGURATIONS,
     CONTROL,
     CURRENT_UNIT,
     FAULTS,
-    HS,
     INPUT_TERMINALS,
-    LAST_REGISTER,
     LED_ROWS,
     PARAMETERS,
     TORQUE_UNIT,
-    WD_MODULUS,
-    WD_PERIOD,
-    WD_SHIFT,
-    Access,
-    AccessCode,
-    ChannelMap,
     Command,
-    Configuration,
-    FrequencyUnit,
-    Function,
     LEDs,
     Status,
-    Transfer,
-    WordOrder,
     check_address,
-    get_word,
+    frequency_unit,
     register,
     register_name,
 )
 
-INITIALISATION = 0.1
-"""Seconds from power-up until the card's CPU runs: it shows "CPU Init", the drive is not ready."""
-RECEIPT, SENDING = 0.001, 0.002
-"""Seconds that STATUS stays 00 and 01; the drive's own 10 to 15 ms follow as 10."""
-SCAN = 0.010
-"""Seconds between two looks at a ramp under way."""
-IDLE = 1.0
-"""Seconds between two steps while nobody exchanges data."""
+RECEIPT = 0.001
+"""Seconds that STATUS stays 00 when a command has come."""
 
 _MONITORS = range(0x0020, 0x0040)
 _PARAMETERS = range(0x0101, 0x0200)
@@ -122,7 +111,7 @@ class Registers(MutableMapping[int | str, int]):
         return address
 
 
-class SIP1(Card):
+class SIP1(YaskawaCard):
     """A V7 drive with its PROFIBUS card.
 
     `parameters` is "commissioned" (n003 = 3, n004 = 9, n152 = 1) or "factory" (the manual's defaults: the drive ignores
@@ -138,50 +127,34 @@ class SIP1(Card):
     sync: bool = True
     freeze: bool = True
 
-    def __init__(self, address: int, *, parameters: Literal["commissioned", "factory"] = "commissioned",
+    def __init__(self, address: int, *, parameters: Commissioning = "commissioned",
                  word_order: WordOrder = "big", motor: Motor | None = None, seed: int | None = None) -> None:
         if warning := check_address(address):
             _log.warning("%s", warning)
-        if parameters not in ("commissioned", "factory"):
-            raise ConfigurationError(f"parameters {parameters!r}: give 'commissioned' or 'factory'")
+        super().__init__(motor, address if seed is None else seed, parameters)
         if word_order not in ("big", "little"):
             raise ConfigurationError(f"word_order {word_order!r}: give 'big' or 'little'")
         self.address = address
         self.word_order: WordOrder = word_order
-        self.motor = motor or Motor()
         self.undervoltage = False
         """Main circuit undervoltage: the output is off, writing is refused."""
         self.storing = False
         """The drive is storing parameter data: writing is refused."""
         self.pulse_train = 0
         """Pulses at terminal RP, as the word of the bus shows them."""
-        self._lock = threading.RLock()
         values = {address: parameter.default for address, parameter in PARAMETERS.items()}
         self.registers = Registers(self, values | dict(COMMISSIONED) if parameters == "commissioned" else values)
-        self._random = random.Random(address if seed is None else seed)
-        self._injected: str | None = None
-        self._powered: float | None = None
         self._forget()
 
     def _forget(self) -> None:
-        """What power-up finds: nothing that only memory held."""
-        self._now = 0.0
-        self._exchange = Exchange()
-        self._established = False
-        self._fault: str | None = None
+        super()._forget()
+        self._job: _Channel = _Channel(self._access, self._access_time)
         self._command = Command(0)
-        self._armed = True
         self._reference = 0.0
         self._torque_reference = 0
         self._output_command = 0
-        self._channel = _Channel(self)
 
     # -- What a program reads and does -----------------------------------------------------------------------------
-
-    @property
-    def running(self) -> bool:
-        """Whether the drive feeds the motor, slowing down included."""
-        return self.motor.powered
 
     @property
     def frequency_reference(self) -> float:
@@ -192,11 +165,6 @@ class SIP1(Card):
     def torque_reference(self) -> float:
         """Per cent, the last torque reference of Basic data; V/f control makes no use of it."""
         return self._torque_reference * TORQUE_UNIT
-
-    @property
-    def fault(self) -> str | None:
-        """The fault on the drive's display ("BUS", "EF0", ..., table 1.9), None when there is none."""
-        return self._fault
 
     @property
     def inputs(self) -> dict[str, bool]:
@@ -242,35 +210,11 @@ class SIP1(Card):
             self._see(exchange)
             return self._image()
 
-    def next_step(self, now: float) -> float:
-        with self._lock:
-            if self._powered is None:
-                return now
-            times = [now + IDLE, self._channel.due]
-            if now < self._powered + INITIALISATION:
-                times.append(self._powered + INITIALISATION)
-            if not self.motor.arrived:
-                times.append(min(now + SCAN, self.motor.settles))
-            where = self._configuration
-            if where and where.channel:  # the WD counter is in the parameter channel's handshake octet
-                times.append(self._powered + WD_PERIOD * (self._ticks(now) + 1))
-            return max(min(times), now + 1e-4)
-
-    def _live(self, now: float) -> None:
-        """Let pass what became due since the last step, each event at its own time."""
-        while (due := self._channel.due) <= now:
-            self.motor.advance(due)
-            self._channel.advance(due)
-            self._act(due)
-        self.motor.advance(now)
-        self._now = now
-        self._act(now)
-
     def _see(self, exchange: Exchange) -> None:
         """Take over what the slave says now."""
         exchanging = exchange.state is SlaveState.DATA_EXCH and exchange.configuration >= 0
         if exchanging and self._exchange.state is not SlaveState.DATA_EXCH:
-            self._channel = _Channel(self)  # HS is cleared after re-initialisation
+            self._job = _Channel(self._access, self._access_time)  # HS is cleared after re-initialisation
         self._exchange = exchange
         self._established = self._established or exchanging
         where = self._configuration
@@ -283,7 +227,7 @@ class SIP1(Card):
         self._output_command = words.get("multi_function_output", 0)
         self._take(Command(words["command"] & _KNOWN), words["frequency_reference"])
         if where.channel and self._ready:
-            self._channel.see(octets.ljust(where.size, b"\0"), where.channel, self._now)
+            self._job.see(octets.ljust(where.size, b"\0"), where.channel, self._now)
 
     @property
     def _configuration(self) -> Configuration | None:
@@ -291,6 +235,11 @@ class SIP1(Card):
         if self._exchange.state is not SlaveState.DATA_EXCH or not 0 <= index < len(CONFIGURATIONS):
             return None
         return CONFIGURATIONS[index]
+
+    @property
+    def _counts(self) -> bool:
+        where = self._configuration
+        return where is not None and where.channel is not None
 
     def _image(self) -> bytes:
         """The input octets of this moment."""
@@ -309,27 +258,16 @@ class SIP1(Card):
                  "torque_reference": min(round(abs(self.motor.torque) * 100 / TORQUE_UNIT), 0xFFFF)}
         for name, offset in where.inputs.items():
             image[offset:offset + 2] = words[name].to_bytes(2, self.word_order)
-        if channel := where.channel:
-            image[channel.offset:channel.data + 2 * channel.words] = self._channel.answer.encode(channel.words)
-            image[channel.handshake] = (self._channel.hs | self._channel.transfer
-                                        | self._ticks(self._now) % WD_MODULUS << WD_SHIFT)
+        if where.channel:
+            self._job.show(image, where.channel, self._ticks(self._now))
         return bytes(image)
 
     # -- The drive -------------------------------------------------------------------------------------------------
 
-    @property
-    def _ready(self) -> bool:
-        """Whether the card's CPU has come up."""
-        return self._powered is not None and self._now >= self._powered + INITIALISATION
-
-    def _ticks(self, now: float) -> int:
-        """How often WD has counted up."""
-        return math.floor((now - (self._powered or 0.0)) / WD_PERIOD)
-
     def _unit(self) -> FrequencyUnit | None:
         """The unit of the frequency words, None for user settings (n035 from 40), which no table defines."""
         try:
-            return FrequencyUnit.of(self.registers[_N035], self.registers[_N152], self.registers[_N011] / 10)
+            return frequency_unit(self.registers[_N035], self.registers[_N152], self.registers[_N011] / 10)
         except ConfigurationError:
             return None
 
@@ -371,18 +309,9 @@ class SIP1(Card):
         self._fault = self._injected or self._fault or self._cause()
 
     def _direction(self) -> int:
-        """+1, -1 or 0: where the run command leads.
-
-        After a fault the command has to be taken away once before it counts again: a reset alone starts no motor.
-        """
-        run = self._command & Command.RUN
-        if not run:
-            self._armed = True
-        if self._fault or self.undervoltage:
-            self._armed = False
-        if not self._armed or not self._ready or self.registers[_N003] != 3:
-            return 0
-        return {Command.FORWARD: 1, Command.REVERSE: -1}.get(run, 0)  # both at once: stop
+        """+1, -1 or 0: where the run command leads; both directions at once are none."""
+        direction = {Command.FORWARD: 1, Command.REVERSE: -1}.get(self._command & Command.RUN, 0)
+        return self._obey(direction, allowed=self.registers[_N003] == 3, healthy=not (self._fault or self.undervoltage))
 
     def _act(self, now: float) -> None:
         """Lead the motor where command, parameters and faults say."""
@@ -522,42 +451,13 @@ _KNOWN = (Command.RUN | Command.S3 | Command.S4 | Command.S5 | Command.S6 | Comm
           | Command.EXTERNAL_FAULT | Command.FAULT_RESET)
 
 
-class _Channel:
-    """The card's half of the parameter channel: one request at a time, through the STATUS values of table 3.17.
+class _Channel(Handshake):
+    """The STATUS values of table 3.17: HS is mirrored at receipt, the answer of the command before stands until the new one
+    is there."""
 
-    A command is new when its HS differs from the response's. The card mirrors HS at receipt; the answer of the command
-    before stands until the new one is there. While it is busy the card looks at no further toggle.
-    """
-
-    def __init__(self, card: SIP1) -> None:
-        self._card = card
-        self.hs = 0
-        self.transfer = Transfer.IDLE
-        self.answer = Access(Function.NONE)
-        self.due = math.inf
-        """When the next transition is due; infinity while there is nothing to do."""
-        self._request = Access(Function.NONE)
-        self._words = 0
-
-    def see(self, octets: bytes, where: ChannelMap, now: float) -> None:
-        """Look at the master's half of the channel."""
-        hs = octets[where.handshake] & HS
-        if hs == self.hs or self.due != math.inf:
-            return
-        self.hs, self.transfer = hs, Transfer.IDLE
-        request = Access.decode(octets, where)
-        if request.function == Function.NONE:  # "if no parameter access is desired": nothing goes to the drive
-            self.answer = request
-            return
-        self._request, self._words = request, where.words
-        self.due = now + RECEIPT
-
-    def advance(self, now: float) -> None:
-        """The transition that is due at `now`."""
-        if self.transfer is Transfer.IDLE:
-            self.transfer, self.due = Transfer.SENT, now + SENDING
-        elif self.transfer is Transfer.SENT:
-            self.transfer, self.due = Transfer.WAITING, now + self._card._random.uniform(0.010, 0.015)
+    def _receive(self, now: float) -> None:
+        self.hs = self._taken
+        if self._request.function == Function.NONE:
+            self.answer = self._request
         else:
-            self.answer = self._card._access(self._request, self._words)
-            self.transfer, self.due = Transfer.RECEIVED, math.inf
+            self.due = now + RECEIPT

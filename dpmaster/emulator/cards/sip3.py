@@ -9,48 +9,32 @@ from __future__ import annotations
 
 import logging
 import math
-import random
-import threading
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Literal
 
-from dpmaster.emulator.card import Card, Exchange, Slave, SlaveState
+from dpmaster.emulator.card import Exchange, Slave, SlaveState
+from dpmaster.emulator.cards._sip3_numbers import HISTORY, Numbers
 from dpmaster.emulator.cards._sip3_registers import Registers
+from dpmaster.emulator.cards._yaskawa import SENDING, Commissioning, Handshake, YaskawaCard
 from dpmaster.emulator.motor import Motor
 from dpmaster.errors import ConfigurationError
 from dpmaster.profiles import pkw, ppo
 from dpmaster.profiles import yaskawa_1000 as profile
-from dpmaster.profiles.pkw import Refusal, Responder, Value
+from dpmaster.profiles.pkw import Responder
 from dpmaster.profiles.ppo import ControlWord, StatusWord
 from dpmaster.profiles.yaskawa import (
-    HS,
-    WD_MODULUS,
-    WD_PERIOD,
-    WD_SHIFT,
+    LAST_REGISTER,
     Access,
     AccessCode,
     ChannelMap,
     Configuration,
     FrequencyUnit,
     Function,
-    Transfer,
     get_word,
 )
-from dpmaster.profiles.yaskawa_1000 import INIT, LAST_REGISTER, YASKAWA_1000, Command, Condition, LEDs, Status, Table
+from dpmaster.profiles.yaskawa_1000 import INIT, YASKAWA_1000, Command, Condition, LEDs, Status, Table
 
-INITIALISATION = 0.1
-"""Seconds from power-up until the card has read its parameters: the drive is not ready."""
-SENDING = 0.002
-"""Seconds that STATUS stays 01; the drive's own 10 to 15 ms follow as 10."""
-SCAN = 0.010
-"""Seconds between two looks at a ramp under way."""
-IDLE = 1.0
-"""Seconds between two steps while nobody exchanges data."""
-
-_HISTORY = 10
-"""Faults that PNU 947 remembers."""
 _DC_BUS, _DC_BUS_UNDERVOLTAGE, _RATED_VOLTAGE = 311, 150, 200
 """Volts of a 200 V class drive."""
 
@@ -79,7 +63,7 @@ class Orders:
     """STW bit 10 is 0."""
 
 
-class SIP3(Card):
+class SIP3(YaskawaCard):
     """A V1000 or A1000 drive with its PROFIBUS card.
 
     `parameters` is "commissioned" (b1-01 = b1-02 = 3, and F6-32 follows the configuration that the master chooses) or
@@ -107,15 +91,13 @@ class SIP3(Card):
     min_slave_interval: int = profile.MIN_SLAVE_INTERVAL
     max_diagnosis: int = 11
 
-    def __init__(self, address: int, *, parameters: Literal["commissioned", "factory"] = "commissioned",
+    def __init__(self, address: int, *, parameters: Commissioning = "commissioned",
                  settings: Mapping[str, int] = MappingProxyType({}), table: Table = YASKAWA_1000,
                  motor: Motor | None = None, size: float | None = None, seed: int | None = None) -> None:
         if warning := profile.check_address(address):
             _log.warning("%s", warning)
-        if parameters not in ("commissioned", "factory"):
-            raise ConfigurationError(f"parameters {parameters!r}: give 'commissioned' or 'factory'")
+        super().__init__(motor, address if seed is None else seed, parameters)
         self._address = address
-        self.motor = motor or Motor()
         self.size = self.motor.rated_power / 1000 if size is None else size
         if isinstance(self.size, bool) or not isinstance(self.size, (int, float)) or not 0 < self.size <= 1000:
             raise ConfigurationError(f"size {size!r} kW: above 0 and up to 1000")
@@ -129,15 +111,8 @@ class SIP3(Card):
         """Analogue input channel 1, as the word of the bus shows it."""
         self.history: list[tuple[str, int]] = []
         """The last ten faults, the newest first: name, and seconds since the one before or since power-up."""
-        self._lock = threading.RLock()
-        self._random = random.Random(address if seed is None else seed)
-        self._injected: str | None = None
-        self._powered: float | None = None
-        self._assigned: dict[int, tuple[int, ...]] = {
-            profile.PNU_ASSIGN_WRITE: profile.ASSIGNED_WRITE, profile.PNU_ASSIGN_READ: profile.ASSIGNED_READ}
-        self._assigned_stored = dict(self._assigned)
         self._told = _NOTHING_TOLD
-        self._numbers = _Numbers(self)
+        self._numbers = Numbers(self)
         self.registers = Registers(table, self._monitor, self._lock)
         self._set_up(parameters, dict(settings))
         self._forget()
@@ -157,21 +132,16 @@ class SIP3(Card):
             self._modules = profile.CONFIGURATIONS
 
     def _forget(self) -> None:
-        """What power-up finds: nothing that only memory held."""
+        super()._forget()
         self.registers.recall()
-        self._assigned = dict(self._assigned_stored)
+        self._numbers.recall()
         self._disabled = self.registers.setting("F6-30") == 0
         self._address = self.registers.setting("F6-30") or self._address
         self._index_size: pkw.IndexSize = "byte" if self.registers.setting("F6-33") else "word"
-        self._now = 0.0
-        self._exchange = Exchange()
-        self._established = False
         self._timed_out = False
-        self._fault: str | None = None
         self._alarm: str | None = None
         self._since_fault = 0.0
         self._orders = Orders()
-        self._armed = True
         self._edges = (False, False)
         self._held = self._octets = self._shown = b""
         self._layout = self._modules[0]
@@ -179,7 +149,7 @@ class SIP3(Card):
 
     def _responder(self) -> Responder:
         return Responder(lambda task: pkw.serve(task, self._numbers, profile.PKW_SUBSTITUTES),
-                         lambda: SENDING + self._random.uniform(0.010, 0.015), self._index_size)
+                         lambda: SENDING + self._access_time(), self._index_size)
 
     @property
     def address(self) -> int:
@@ -196,11 +166,6 @@ class SIP3(Card):
     # -- What a program reads and does -----------------------------------------------------------------------------
 
     @property
-    def running(self) -> bool:
-        """Whether the drive feeds the motor, slowing down included."""
-        return self.motor.powered
-
-    @property
     def frequency_reference(self) -> float:
         """Hz, the reference that the drive follows, without sign."""
         with self._lock:
@@ -212,11 +177,6 @@ class SIP3(Card):
         with self._lock:
             enabled = self.registers.setting("F6-06") and self.registers.setting("A1-02") in (3, 6, 7)
             return ppo.signed(self.registers.word(4)) * profile.TORQUE_UNIT if enabled else 0.0
-
-    @property
-    def fault(self) -> str | None:
-        """The fault on the drive's display ("bUS", "EF0", "oFA30", ..., table 16), None when there is none."""
-        return self._fault
 
     @property
     def alarms(self) -> frozenset[str]:
@@ -256,13 +216,10 @@ class SIP3(Card):
             conditions = (
                 (Condition.UNDERVOLTAGE, self.undervoltage),
                 (Condition.INVERTER_COMMUNICATION, self._injected),
-                (Condition.ILLEGAL_PNU_915, self._illegal(profile.PNU_ASSIGN_WRITE, profile.ASSIGNABLE_WRITE)),
-                (Condition.ILLEGAL_PNU_916, self._illegal(profile.PNU_ASSIGN_READ, profile.ASSIGNABLE_READ)),
+                (Condition.ILLEGAL_PNU_915, self._numbers.illegal(profile.PNU_ASSIGN_WRITE)),
+                (Condition.ILLEGAL_PNU_916, self._numbers.illegal(profile.PNU_ASSIGN_READ)),
             )
             return profile.diagnosis(Condition(sum(condition for condition, there in conditions if there)))
-
-    def _illegal(self, pnu: int, legal: frozenset[int]) -> bool:
-        return any(register and register not in legal for register in self._assigned[pnu])
 
     def inject(self, fault: str) -> None:
         """Break the card or its connection: oFA00, oFA01, oFA30 to oFA43, oFb00, oFb02, oFc00 or oFc02. Only a power cycle
@@ -306,30 +263,6 @@ class SIP3(Card):
             self.slave.diagnose(now[0], announce=True, ext_diag=bool(now[0]), static_diag=False)
             self.slave.set_ready(now[1])
 
-    def next_step(self, now: float) -> float:
-        with self._lock:
-            if self._powered is None:
-                return now
-            times = [now + IDLE, self._job.due]
-            if now < self._powered + INITIALISATION:
-                times.append(self._powered + INITIALISATION)
-            if not self.motor.arrived:
-                times.append(min(now + SCAN, self.motor.settles))
-            if isinstance(self._job, _Channel):  # the WD counter is in its handshake octet
-                times.append(self._powered + WD_PERIOD * (self._ticks(now) + 1))
-            return max(min(times), now + 1e-4)
-
-    def _live(self, now: float) -> None:
-        """Let pass what became due since the last step, each event at its own time."""
-        while (due := self._job.due) <= now:
-            self.motor.advance(due)
-            self._now = due
-            self._job.advance(due)
-            self._act(due)
-        self.motor.advance(now)
-        self._now = now
-        self._act(now)
-
     def _see(self, exchange: Exchange) -> None:
         """Take over what the slave says now."""
         before, self._exchange = self._exchange, exchange
@@ -364,7 +297,12 @@ class SIP3(Card):
         self._held, self._layout = b"", module
         if not self._fixed_map:
             self.registers["F6-32"] = int(isinstance(module, Configuration))
-        self._job = _Channel(self) if isinstance(module, Configuration) and module.channel else self._responder()
+        memobus = isinstance(module, Configuration) and module.channel
+        self._job = _Channel(self._access, self._access_time) if memobus else self._responder()
+
+    @property
+    def _counts(self) -> bool:
+        return isinstance(self._job, _Channel)
 
     @property
     def _module(self) -> Configuration | profile.PPOModule | None:
@@ -414,8 +352,8 @@ class SIP3(Card):
 
     def _decode_ppo(self, layout: ppo.PPO) -> Orders:
         words = [get_word(self._octets, layout.offset(n)) for n in range(1, layout.words + 1)]
-        for register, word in zip(self._assigned[profile.PNU_ASSIGN_WRITE][2:], words[2:], strict=False):
-            if register in profile.ASSIGNABLE_WRITE:
+        for register, word in zip(self._numbers.assigned(profile.PNU_ASSIGN_WRITE), words[2:], strict=False):
+            if register:
                 self.registers.write(register, [word])
         control = ControlWord(words[0] & 0x07FF)
         local = not control & ControlWord.CONTROL
@@ -448,9 +386,7 @@ class SIP3(Card):
                 image[offset:offset + 2] = self._word(name, module).to_bytes(2, "big")
             if channel := module.channel:
                 assert isinstance(self._job, _Channel)
-                image[channel.offset:channel.data + 2 * channel.words] = self._job.answer.encode(channel.words)
-                image[channel.handshake] = (self._job.hs | self._job.transfer
-                                            | self._ticks(self._now) % WD_MODULUS << WD_SHIFT)
+                self._job.show(image, channel, self._ticks(self._now))
             return bytes(image)
         layout = module.ppo
         if layout.pkw:
@@ -458,8 +394,8 @@ class SIP3(Card):
             image[0:pkw.LENGTH] = self._job.octets
         share = min(max(self.motor.frequency / self._maximum(), -3.0), 3.0)  # E1-04 may have been changed meanwhile
         values = [int(self.status_word), ppo.to_word(share, profile.FULL_SCALE)]
-        values += [self.registers.word(register) if register in profile.ASSIGNABLE_READ else 0
-                   for register in self._assigned[profile.PNU_ASSIGN_READ][2:]]
+        values += [self.registers.word(register) if register else 0
+                   for register in self._numbers.assigned(profile.PNU_ASSIGN_READ)]
         for number in range(1, layout.words + 1):
             image[layout.offset(number):layout.offset(number) + 2] = values[number - 1].to_bytes(2, "big")
         return bytes(image)
@@ -485,11 +421,7 @@ class SIP3(Card):
     @property
     def _ready(self) -> bool:
         """Whether the card has come up; with a node address of 0 it never does."""
-        return self._powered is not None and self._now >= self._powered + INITIALISATION and not self._disabled
-
-    def _ticks(self, now: float) -> int:
-        """How often WD has counted up."""
-        return math.floor((now - (self._powered or 0.0)) / WD_PERIOD)
+        return super()._ready and not self._disabled
 
     def _maximum(self) -> float:
         """E1-04, Hz."""
@@ -563,7 +495,7 @@ class SIP3(Card):
         fault = self._injected or self._fault or next((cause for cause in causes if self._reaction(cause) != 3), None)
         if fault and fault != self._fault:
             self.history.insert(0, (fault, min(int(self._now - self._since_fault), 0xFFFF)))
-            del self.history[_HISTORY:]
+            del self.history[HISTORY:]
             self._since_fault = self._now
         self._fault = fault
 
@@ -573,17 +505,9 @@ class SIP3(Card):
         return self.registers.setting(selection) if selection else 1
 
     def _direction(self) -> int:
-        """+1, -1 or 0: where the run command leads.
-
-        After a fault the command has to be taken away once before it counts again: a reset alone starts no motor.
-        """
-        if not self._orders.direction:
-            self._armed = True
-        if self._fault or self.undervoltage:
-            self._armed = False
-        if not self._armed or not self._ready or self.registers.setting("b1-02") != 3:
-            return 0
-        return self._orders.direction
+        """+1, -1 or 0: where the run command leads."""
+        return self._obey(self._orders.direction, allowed=self.registers.setting("b1-02") == 3,
+                          healthy=not (self._fault or self.undervoltage))
 
     def _act(self, now: float) -> None:
         """Lead the motor where orders, parameters and faults say."""
@@ -765,171 +689,23 @@ class SIP3(Card):
         if address in (profile.ENTER_RAM, profile.ENTER_ROM):
             self.registers.enter(store=address == profile.ENTER_ROM)
             if address == profile.ENTER_ROM:
-                self._assigned_stored = dict(self._assigned)
+                self._numbers.store()
         else:
             self.registers.write(address, words)
 
 
-class _Channel:
-    """The card's half of the MEMOBUS channel: one message at a time.
-
-    A command is new when its HS differs from the one of the command before. The input HS keeps its old value, with function
-    code 00h, until the answer is there. While it is busy the card looks at no further toggle; INIT ends everything.
-    """
-
-    def __init__(self, card: SIP3) -> None:
-        self._card = card
-        self._request = Access(Function.NONE)
-        self._words = 0
-        self.due = math.inf
-        """When the next transition is due; infinity while there is nothing to do."""
-        self._clear()
-
-    def _clear(self) -> None:
-        self._taken = self.hs = 0
-        self.transfer, self.due = Transfer.IDLE, math.inf
-        self.answer = Access(Function.NONE)
+class _Channel(Handshake):
+    """The input HS keeps its old value, with function code 00h, until the answer is there; INIT ends everything."""
 
     def see(self, octets: bytes, where: ChannelMap, now: float) -> None:
-        """Look at the master's half of the channel."""
-        register = octets[where.handshake]
-        if register & INIT:
-            self._clear()
-        elif register & HS != self._taken and self.due == math.inf:
-            self._taken = register & HS
-            self._request, self._words = Access.decode(octets, where), where.words
-            self.answer = Access(Function.NONE)
-            if self._request.function == Function.NONE:  # zeros of a Clear: nothing goes to the drive
-                self.hs, self.transfer = self._taken, Transfer.IDLE
-            else:
-                self.transfer, self.due = Transfer.SENT, now + SENDING
-
-    def advance(self, now: float) -> None:
-        """The transition that is due at `now`."""
-        if self.transfer is Transfer.SENT:
-            self.transfer, self.due = Transfer.WAITING, now + self._card._random.uniform(0.010, 0.015)
+        if octets[where.handshake] & INIT:
+            self.clear()
         else:
-            self.answer = self._card._access(self._request, self._words)
-            self.hs, self.transfer, self.due = self._taken, Transfer.RECEIVED, math.inf
+            super().see(octets, where, now)
 
-
-class _Numbers:
-    """The card's parameter numbers, as `pkw.serve` asks for them."""
-
-    def __init__(self, card: SIP3) -> None:
-        self._card = card
-
-    def elements(self, pnu: int) -> int | None:
-        if pnu == profile.PNU_REGISTERS:
-            return LAST_REGISTER + 1
-        if pnu in profile.GROUPS:
-            return profile.GROUP_ELEMENTS
-        array = self._array(pnu)
-        if array is not None:
-            return len(array)
-        if pnu not in _SINGLE:
-            raise Refusal(pkw.Error.PNU)
-        return None
-
-    def read(self, pnu: int, index: int) -> Value:
-        if pnu in _WRITE_ONLY:
-            raise Refusal(pkw.Error.PNU)
-        if pnu == profile.PNU_REGISTERS or pnu in profile.GROUPS:
-            registers = self._registers(pnu, index)
-            return Value(self._card.registers.value(registers), len(registers) == 2)
-        array = self._array(pnu)
-        if array is None:
-            return Value(self._single(pnu))
-        if not 1 <= index <= len(array):
-            raise Refusal(pkw.Error.INDEX)
-        return Value(array[index - 1])
-
-    def write(self, pnu: int, index: int, value: Value) -> None:
-        card = self._card
-        if pnu == profile.PNU_REGISTERS or pnu in profile.GROUPS:
-            registers = self._registers(pnu, index)
-            if value.double != (len(registers) == 2):
-                raise Refusal(pkw.Error.NOT_CHANGEABLE)
-            self._write(registers[0], [value.value >> 16, value.value & 0xFFFF][-len(registers):])
-        elif value.double:
-            raise Refusal(pkw.Error.NOT_CHANGEABLE)
-        elif pnu in _WRITE_ONLY:
-            self._write(profile.ENTER_RAM if pnu == profile.PNU_ENTER_RAM else profile.ENTER_ROM, [value.value])
-        elif pnu in card._assigned:
-            if not 1 <= index <= len(card._assigned[pnu]):
-                raise Refusal(pkw.Error.INDEX)
-            if index <= 2:  # PZD1 and PZD2 are STW, HSW, ZSW and HIW
-                raise Refusal(pkw.Error.NOT_CHANGEABLE)
-            assigned = list(card._assigned[pnu])
-            assigned[index - 1] = value.value  # an illegal one is taken, and told in the diagnosis
-            card._assigned[pnu] = tuple(assigned)
-        elif pnu != profile.PNU_CONTROL:  # whose next word comes with the process data: a write is overtaken at once
-            raise Refusal(pkw.Error.NOT_CHANGEABLE)
-
-    def _write(self, address: int, words: list[int]) -> None:
-        card = self._card
-        code = card._write_refusal(address, words)
-        if code is AccessCode.WRITE and (card.undervoltage or card.storing):
-            raise Refusal(pkw.Error.STATE)
-        if code is not None:
-            raise Refusal(profile.ACCESS_ERRORS[code])
-        card._write(address, words)
-
-    def _registers(self, pnu: int, index: int) -> range:
-        """The registers of a drive parameter, or of PNU 0 the one."""
-        if pnu == profile.PNU_REGISTERS:
-            if not 1 <= index <= LAST_REGISTER:
-                raise Refusal(pkw.Error.INDEX)
-            return range(index, index + 1)
-        parameter = self._card.registers.table.get(profile.parameter_name(pnu, index))
-        if parameter is None:
-            raise Refusal(pkw.Error.INDEX)
-        return parameter.registers
-
-    def _array(self, pnu: int) -> tuple[int, ...] | None:
-        """The elements of one of the profile's arrays."""
-        card = self._card
-        if pnu in profile.PNU_WRITE_TYPES:
-            return self._words(card._octets, ppo.TYPES[profile.PNU_WRITE_TYPES[pnu]])
-        if pnu in profile.PNU_READ_TYPES:
-            return self._words(card._shown, ppo.TYPES[profile.PNU_READ_TYPES[pnu]])
-        if pnu in card._assigned:
-            return card._assigned[pnu]
-        if pnu == profile.PNU_FAULTS:
-            return (*(profile.FAULTS[name][0] for name, _ in card.history), *[0] * _HISTORY)[:_HISTORY]
-        if pnu == profile.PNU_FAULT_TIMES:
-            return (*(seconds for _, seconds in card.history), *[0] * _HISTORY)[:_HISTORY]
-        return profile.IDENTIFICATION if pnu == profile.PNU_IDENTIFICATION else None
-
-    def _words(self, octets: bytes, wanted: ppo.PPO) -> tuple[int, ...]:
-        """The exchange's octets as another type would have them: its channel and process words, 0 where it has none."""
-        present = self._type()
-        channel = octets[:pkw.LENGTH] if present.pkw else bytes(pkw.LENGTH)
-        view = (channel if wanted.pkw else b"") + octets[present.pzd:]
-        return tuple(get_word(view, 2 * n) for n in range(wanted.size // 2))
-
-    def _type(self) -> ppo.PPO:
-        module = self._card._module
-        return module.ppo if isinstance(module, profile.PPOModule) else ppo.TYPES[1]
-
-    def _single(self, pnu: int) -> int:
-        """The value of a parameter number that is no array."""
-        card = self._card
-        match pnu:
-            case profile.PNU_WRITE_TYPE | profile.PNU_READ_TYPE:
-                return self._type().type
-            case profile.PNU_ADDRESS:
-                return card.address
-            case profile.PNU_BAUDRATE:
-                return profile.BAUDRATES[card._exchange.baudrate]
-            case profile.PNU_PROFILE:
-                return profile.PROFILE
-            case profile.PNU_CONTROL:
-                return get_word(card._octets, self._type().pzd)
-            case _:
-                return int(card.status_word)
-
-
-_WRITE_ONLY = frozenset({profile.PNU_ENTER_RAM, profile.PNU_ENTER_ROM, profile.PNU_STORE})
-_SINGLE = _WRITE_ONLY | {profile.PNU_WRITE_TYPE, profile.PNU_READ_TYPE, profile.PNU_ADDRESS, profile.PNU_BAUDRATE,
-                         profile.PNU_PROFILE, profile.PNU_CONTROL, profile.PNU_STATUS}
+    def _receive(self, now: float) -> None:
+        self.answer = Access(Function.NONE)
+        if self._request.function == Function.NONE:  # zeros of a Clear, for one
+            self.hs = self._taken
+        else:
+            self.advance(now)
