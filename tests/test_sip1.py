@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 import logging
+from typing import Any
 
 import pytest
+from card_host import CardHost
 
 from dpmaster.emulator.card import Exchange, SlaveState
 from dpmaster.emulator.cards import SIP1
@@ -15,55 +17,11 @@ BASIC, EXTENDED_1, EXTENDED_2 = range(3)
 READY, ZERO, REMOTE, RUNNING, AGREE, REVERSE = 0x0020, 0x0002, 0x0400, 0x0001, 0x0010, 0x0004
 
 
-class Host:
-    """The slave in front of a card, reduced to what the card sees of it."""
+class Host(CardHost):
+    """A card in exchange."""
 
-    def __init__(self, configuration: int = EXTENDED_1, **arguments: object) -> None:
-        self.card = SIP1(5, **arguments)  # type: ignore[arg-type]
-        self.configuration = configuration
-        self.now = 0.0
-        self.outputs = bytearray((6, 32, 12)[configuration])
-        self.state = SlaveState.DATA_EXCH
-        self.valid = True
-        self.card.step(0.0, Exchange())
-        self.after(0.5)
-
-    def after(self, seconds: float) -> bytes:
-        """Let time pass, stepping the card whenever it asks for it; the inputs of the end."""
-        self.step()
-        end = self.now + seconds
-        while (wanted := self.card.next_step(self.now)) < end:
-            assert wanted > self.now
-            self.now = wanted
-            self.step()
-        self.now = end
-        return self.step()
-
-    def step(self) -> bytes:
-        exchanging = self.state is SlaveState.DATA_EXCH
-        return self.card.step(self.now, Exchange(self.state, bytes(self.outputs), self.valid and exchanging, 1,
-                                                 self.configuration if exchanging else -1, 1))
-
-    def command(self, word: int, hz: float | None = None) -> bytes:
-        self.outputs[0:2] = word.to_bytes(2, "big")
-        if hz is not None:
-            self.outputs[2:4] = round(hz * 100).to_bytes(2, "big")
-        return self.step()
-
-    def access(self, message: str) -> str:
-        """One access of the parameter channel: hex of function, address, length, data; the answer's likewise."""
-        octets = bytes.fromhex(message)
-        where, handshake = (16, 31) if self.configuration == EXTENDED_1 else (4, 11)
-        words = 12 if self.configuration == EXTENDED_1 else 6
-        self.outputs[where:where + words] = octets.ljust(words, b"\0")
-        self.step()
-        self.outputs[handshake] ^= 0x80
-        inputs = self.after(0.020)
-        assert inputs[handshake] & 0xE1 == self.outputs[handshake] | 0x60
-        return inputs[where:where + words].hex()
-
-    def status(self) -> int:
-        return int.from_bytes(self.step()[0:2], "big")
+    def __init__(self, configuration: int = EXTENDED_1, **arguments: Any) -> None:
+        super().__init__(SIP1(5, **arguments), configuration, (6, 32, 12)[configuration])
 
 
 def word(octets: bytes, offset: int) -> int:
@@ -74,7 +32,7 @@ def test_extended_data_1_shows_reference_frequency_and_current() -> None:
     """Table 3.3: 8 frequency reference, 10 output frequency (0.01 Hz), 12 current (0.1 A), 14 pulse train, 2 - 7 always 0."""
     host = Host()
     host.card.pulse_train = 0x1234
-    host.command(0x0001, 30.00)
+    host.drive(0x0001, 30.00)
     inputs = host.after(2.5)  # n019: 10.0 s from 0 to n011 = 60 Hz
     assert word(inputs, 0) & 0x00FF == RUNNING | READY
     assert inputs[2:8] == bytes(6)
@@ -87,14 +45,14 @@ def test_extended_data_1_shows_reference_frequency_and_current() -> None:
 
 def test_extended_data_2_shows_the_output_frequency() -> None:
     host = Host(EXTENDED_2)
-    host.command(0x0001, 12.0)
+    host.drive(0x0001, 12.0)
     assert word(host.after(1.0), 2) == 600
 
 
 def test_basic_data_shows_reference_and_torque() -> None:
     host = Host(BASIC)
     host.outputs[4:6] = (70).to_bytes(2, "big")
-    host.command(0x0001, 12.0)
+    host.drive(0x0001, 12.0)
     inputs = host.after(5.0)
     assert (word(inputs, 2), word(inputs, 4)) == (1200, 50)  # the motor's load is half the rated torque
     assert host.card.torque_reference == 70.0
@@ -111,29 +69,29 @@ def test_word_order_turns_the_fast_area_and_not_the_parameter_area() -> None:
 
 def test_reverse_and_stop() -> None:
     host = Host()
-    host.command(0x0002, 6.0)
+    host.drive(0x0002, 6.0)
     host.after(2.0)
     assert host.card.motor.frequency == -6.0
-    assert host.status() & 0xFF == RUNNING | REVERSE | AGREE | READY
-    host.command(0x0000)
+    assert host.word(0) & 0xFF == RUNNING | REVERSE | AGREE | READY
+    host.drive(0x0000)
     host.after(0.5)
-    assert host.status() & 0xFF == RUNNING | REVERSE | READY  # slowing down
+    assert host.word(0) & 0xFF == RUNNING | REVERSE | READY  # slowing down
     host.after(0.6)
-    assert host.status() & 0xFF == ZERO | READY and not host.card.running
+    assert host.word(0) & 0xFF == ZERO | READY and not host.card.running
 
 
 def test_both_directions_at_once_stop_with_a_minor_fault() -> None:
     host = Host()
-    host.command(0x0001, 6.0)
+    host.drive(0x0001, 6.0)
     host.after(2.0)
-    host.command(0x0003)
+    host.drive(0x0003)
     host.after(2.0)
-    assert host.status() & 0xFF == ZERO | READY | 0x40
+    assert host.word(0) & 0xFF == ZERO | READY | 0x40
 
 
 def test_the_maximum_frequency_limits_the_reference() -> None:
     host = Host()
-    host.command(0x0001, 90.0)
+    host.drive(0x0001, 90.0)
     assert word(host.after(11.0), 8) == 6000
 
 
@@ -144,16 +102,16 @@ def test_tables_1_10_and_1_11_who_controls(n003: int, n004: int, running: bool, 
     host = Host()
     host.card.registers["n003"] = n003
     host.card.registers["n004"] = n004
-    host.command(0x0001, 30.0)
+    host.drive(0x0001, 30.0)
     host.after(6.0)
     assert (host.card.running, host.card.motor.frequency) == (running, hz)
-    assert bool(host.status() & REMOTE) is (n003 == 3 and n004 == 9)
+    assert bool(host.word(0) & REMOTE) is (n003 == 3 and n004 == 9)
 
 
 def test_factory_parameters_ignore_the_bus() -> None:
     host = Host(parameters="factory")
     assert [host.card.registers[n] for n in ("n003", "n004", "n035", "n152")] == [1, 2, 0, 0]
-    host.command(0x0001, 30.0)
+    host.drive(0x0001, 30.0)
     host.after(1.0)
     assert not host.card.running
 
@@ -164,7 +122,7 @@ def test_tables_1_12_and_1_13_units(n035: int, n152: int, reference: int) -> Non
     host = Host()
     host.card.registers["n035"], host.card.registers["n152"] = n035, n152
     host.outputs[2:4] = reference.to_bytes(2, "big")
-    host.command(0x0001)
+    host.drive(0x0001)
     inputs = host.after(6.0)
     assert host.card.motor.frequency == pytest.approx(30.0)
     assert word(inputs, 8) == word(inputs, 10) == reference
@@ -173,9 +131,9 @@ def test_tables_1_12_and_1_13_units(n035: int, n152: int, reference: int) -> Non
 def test_a_user_unit_is_an_operator_error() -> None:
     host = Host()
     host.card.registers["n035"] = 1500
-    host.command(0x0001, 30.0)
+    host.drive(0x0001, 30.0)
     host.after(1.0)
-    assert host.status() & 0x0100 and host.card.motor.frequency == 0.0
+    assert host.word(0) & 0x0100 and host.card.motor.frequency == 0.0
 
 
 def test_status_walks_00_01_10_11_and_takes_10_to_15_ms() -> None:
@@ -268,10 +226,10 @@ def test_0600h_itself_is_an_address() -> None:
 def test_write_fault_while_running_undervoltage_or_storing() -> None:
     host = Host()
     refused, done = "900000020022" + "0000" * 3, "100113020000" + "0000" * 3
-    host.command(0x0001, 6.0)
+    host.drive(0x0001, 6.0)
     assert host.access("100113020032") == refused
     assert host.access("03011302")[:12] == "030113020064"
-    host.command(0x0000)
+    host.drive(0x0000)
     host.after(2.0)
     host.card.undervoltage = True
     assert host.access("100113020032") == refused
@@ -329,7 +287,7 @@ def test_wd_counts_up_every_64_ms_modulo_16() -> None:
 
 def test_clear_is_a_stop_without_a_fault() -> None:
     host = Host()
-    host.command(0x0001, 30.0)
+    host.drive(0x0001, 30.0)
     host.after(6.0)
     host.valid = False
     host.after(1.0)
@@ -341,7 +299,7 @@ def test_clear_is_a_stop_without_a_fault() -> None:
 def test_loss_of_the_exchange_is_bus_and_stops() -> None:
     """Table 1.9 BUS: communication is not established. Reset when the cause is gone, on the rising edge of bit 9."""
     host = Host()
-    host.command(0x0001, 30.0)
+    host.drive(0x0001, 30.0)
     host.after(6.0)
     host.state = SlaveState.WAIT_PRM
     host.after(1.0)
@@ -350,12 +308,12 @@ def test_loss_of_the_exchange_is_bus_and_stops() -> None:
     assert not host.card.running
     host.state = SlaveState.DATA_EXCH
     host.after(1.0)
-    assert host.card.fault == "BUS" and not host.card.running and host.status() & 0x80  # the run bit is still there
-    host.command(0x0201)
+    assert host.card.fault == "BUS" and not host.card.running and host.word(0) & 0x80  # the run bit is still there
+    host.drive(0x0201)
     host.after(1.0)
     assert host.card.fault is None and not host.card.running  # a reset alone starts no motor
-    host.command(0x0000)
-    host.command(0x0001)
+    host.drive(0x0000)
+    host.drive(0x0001)
     host.after(1.0)
     assert host.card.running
 
@@ -369,17 +327,17 @@ def test_no_bus_fault_before_the_exchange_was_established() -> None:
 
 def test_external_fault_bit_is_ef0() -> None:
     host = Host()
-    host.command(0x0001, 30.0)
+    host.drive(0x0001, 30.0)
     host.after(6.0)
-    host.command(0x0101)
+    host.drive(0x0101)
     assert host.card.fault == "EF0" and not host.card.running  # the output is shut off at once
-    assert host.status() & 0xA0 == 0x80  # major fault, not ready
-    host.command(0x0200 | 0x0100)
+    assert host.word(0) & 0xA0 == 0x80  # major fault, not ready
+    host.drive(0x0200 | 0x0100)
     assert host.card.fault == "EF0"  # the cause is still there
-    host.command(0x0200)
-    assert host.card.fault == "EF0" and host.status() & 0x08  # no edge, though the reset signal is shown
-    host.command(0x0000)
-    host.command(0x0200)
+    host.drive(0x0200)
+    assert host.card.fault == "EF0" and host.word(0) & 0x08  # no edge, though the reset signal is shown
+    host.drive(0x0000)
+    host.drive(0x0200)
     assert host.card.fault is None
 
 
@@ -387,16 +345,16 @@ def test_external_fault_bit_is_ef0() -> None:
                                                   ("F22", "solid red", "solid red"), ("F23", "solid red", "solid red")])
 def test_injected_faults_need_a_power_cycle(fault: str, err: str, wd: str) -> None:
     host = Host()
-    host.command(0x0001, 30.0)
+    host.drive(0x0001, 30.0)
     host.after(1.0)
     host.card.inject(fault)
     host.after(0.1)
     assert host.card.fault == fault and not host.card.running
     assert (host.card.leds.err, host.card.leds.wd) == (err, wd)
-    host.command(0x0200)
+    host.drive(0x0200)
     assert host.card.fault == fault
     host.card.reset(host.now)
-    host.command(0x0000)
+    host.drive(0x0000)
     host.after(0.2)
     assert host.card.fault is None
 
@@ -427,17 +385,17 @@ def test_leds_through_a_life() -> None:
 def test_terminals_follow_the_bus_and_their_functions() -> None:
     """Table 3.2: 1 = close; what a terminal does depends on n052 to n056 and n057 to n059."""
     host = Host()
-    host.command(0x0050)
+    host.drive(0x0050)
     assert host.card.inputs == {"S3": False, "S4": False, "S5": True, "S6": False, "S7": True}
-    host.command(0x0004)  # n052 = 3: external fault
+    host.drive(0x0004)  # n052 = 3: external fault
     assert host.card.fault == "EF3" and host.card.outputs["MA"]  # n057 = 0: fault
-    host.command(0x0008)  # n053 = 5: fault reset
+    host.drive(0x0008)  # n053 = 5: fault reset
     assert host.card.fault is None
-    host.command(0x0000)
+    host.drive(0x0000)
     for name in ("n057", "n058", "n059"):
         host.card.registers[name] = 18  # the bus commands them
     host.outputs[14:16] = b"\x00\x05"
-    assert host.status() & 0x3800 == 0x2800
+    assert host.word(0) & 0x3800 == 0x2800
     assert host.card.outputs == {"MA": True, "P1": False, "P2": True}
 
 
@@ -475,7 +433,7 @@ def test_registers_as_a_program_sees_them() -> None:
 
 def test_monitors_live() -> None:
     host = Host()
-    host.command(0x0002, 30.0)
+    host.drive(0x0002, 30.0)
     host.after(6.0)
     registers = host.card.registers
     assert [registers[a] for a in (0x0020, 0x0023, 0x0024)] == [0b0111, 3000, 3000]
