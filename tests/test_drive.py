@@ -24,11 +24,13 @@ FACES: dict[str, type[Drive[Any]]] = {"v7": YaskawaV7, "si-p3": YaskawaSIP3}
 def sip3(configuration: str = "PPO Type 2", **arguments: Any) -> VirtualSIP3:
     if configuration in ("PPO Type 3", "PPO Type 4"):
         arguments["maximum_frequency"] = 60.0
-    return VirtualSIP3(SIP3(5), configuration, cycle=0.004, **arguments)
+    return VirtualSIP3(SIP3(5, settings={"C1-01": 10, "C1-02": 10}), configuration, cycle=0.004, **arguments)
 
 
 def v7(configuration: str = "Extended Data 1", **arguments: Any) -> VirtualV7:
-    return VirtualV7(SIP1(5), configuration, cycle=0.004, **arguments)
+    card = SIP1(5)
+    card.registers["n019"] = card.registers["n020"] = 10  # ramps of a second
+    return VirtualV7(card, configuration, cycle=0.004, **arguments)
 
 
 CONVENTIONAL = ("Extended Data 1", "Extended Data 2", "Basic data")
@@ -185,7 +187,7 @@ def test_what_was_given_up_is_not_done_later(name: str) -> None:
     drive.exchange()
     job.see = see
     drive.let_pass(1.0)
-    assert drive.card.registers[parameter] == 100
+    assert drive.card.registers[parameter] == 10
     write(parameter, 60)
     assert read(parameter) == 60 == drive.card.registers[parameter]
 

@@ -10,6 +10,7 @@ import random
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
@@ -43,6 +44,11 @@ class Bus:
         self.drives = {name: self.master.add(drive) for name, drive in drives.items()}
         self.master.operate(PATIENCE)
 
+    def run(self, hz: float, **arguments: Any) -> None:
+        """All of them; each asks its drive first, so each has a thread of its own."""
+        with ThreadPoolExecutor(len(self.drives)) as pool:
+            list(pool.map(lambda drive: drive.run(hz, **arguments), self.drives.values()))
+
     def close(self) -> None:
         self.master.close()
         self.wire.close()
@@ -57,8 +63,7 @@ def bus(request: pytest.FixtureRequest) -> Iterator[Bus]:
 
 def test_one_program_turns_them_all(bus: Bus) -> None:
     for reverse in (False, True):
-        for drive in bus.drives.values():
-            drive.run(24.0, reverse=reverse)
+        bus.run(24.0, reverse=reverse)
         for name, drive in bus.drives.items():
             status = drive.wait_at_speed(PATIENCE)
             assert status.running and status.remote and status.reverse == reverse, name
@@ -70,8 +75,7 @@ def test_one_program_turns_them_all(bus: Bus) -> None:
 
 
 def test_leaving_says_the_stop_word_to_each_of_them(bus: Bus) -> None:
-    for drive in bus.drives.values():
-        drive.run(24.0)
+    bus.run(24.0)
     for drive in bus.drives.values():
         drive.wait_at_speed(PATIENCE)
     for card in bus.cards.values():

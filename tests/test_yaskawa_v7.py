@@ -30,7 +30,9 @@ def bench(configuration: str = "Extended Data 1", *, cycle: float = 0.001, **arg
     card = {key: arguments.pop(key) for key in ("parameters", "seed") if key in arguments}
     if "word_order" in arguments:
         card["word_order"] = arguments["word_order"]
-    return VirtualV7(SIP1(5, **card), configuration, cycle=cycle, **arguments)  # type: ignore[arg-type]
+    made = SIP1(5, **card)  # type: ignore[arg-type]
+    made.registers["n019"] = made.registers["n020"] = 10  # ramps of a second
+    return VirtualV7(made, configuration, cycle=cycle, **arguments)  # type: ignore[arg-type]
 
 
 # -- Appendix B, on the drive class alone; test_appendix_b has it on the wire -----------------------------------------------
