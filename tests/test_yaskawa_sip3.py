@@ -333,14 +333,22 @@ def test_units_are_read_anew_only_where_a_write_may_have_changed_them(configurat
     drive.run(30.0)
     drive.wait_at_speed(20.0)
     drive["C1-01"] = 3.0
+    with pytest.raises(ParameterAccessError, match="running"):
+        drive["E1-04"] = 50.0
     assert drive.status.output_frequency == 30.0
     drive.stop()
     drive.wait_stopped(20.0)
-    drive["E1-04"] = 50.0
+    with pytest.raises(ParameterAccessError, match="write U1-01"):
+        drive.write({"E1-04": 50.0, "U1-01": 1})  # the first is written, but no Enter command follows
+    assert drive.highest_frequency == 60.0 == drive.card.registers.setting("E1-04") / 10
+    drive["C1-01"] = 3.0  # one follows here
+    assert drive.highest_frequency == 50.0 == drive.card.registers.setting("E1-04") / 10
+    drive.write_register("E1-04", 400)
     assert drive.highest_frequency == 50.0
+    drive["C1-01"] = 3.0
     drive.run(percent=50)
     drive.wait_at_speed(20.0)
-    assert drive.card.motor.frequency == 25.0 == drive.status.output_frequency
+    assert drive.card.motor.frequency == 20.0 == drive.frequency == drive.status.output_frequency
 
 
 def test_run_lifts_a_baseblock_and_nothing_else_does() -> None:

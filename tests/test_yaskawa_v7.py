@@ -333,6 +333,8 @@ def test_units_are_read_anew_only_where_a_write_may_have_changed_them() -> None:
     drive.run_forward(30.0)
     drive.wait_at_speed(10.0)
     drive.write_parameter(0x0200, [1, 2])
+    with pytest.raises(ParameterAccessError, match="running"):
+        drive["n152"] = 0
     assert drive.status.output_frequency == 30.0
     drive.stop()
     drive.wait_stopped(10.0)

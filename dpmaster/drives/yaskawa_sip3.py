@@ -8,7 +8,7 @@ What it shares with every drive is in `Drive`. The conventional configurations a
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Mapping, MutableMapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Literal, NamedTuple
@@ -17,7 +17,7 @@ from dpmaster import _arguments
 from dpmaster.diagnosis import DiagnosisTables
 from dpmaster.drives.channel import ParameterChannel, PKWChannel
 from dpmaster.drives.drive import Drive, ParameterInfo, Terminals, flags_and_values
-from dpmaster.errors import CommissioningError, ConfigurationError, DPError
+from dpmaster.errors import CommissioningError, ConfigurationError, DPError, ParameterAccessError
 from dpmaster.profiles import pkw, ppo
 from dpmaster.profiles import yaskawa_1000 as profile
 from dpmaster.profiles.ppo import StatusWord
@@ -229,6 +229,7 @@ class YaskawaSIP3(Drive[SIP3Status]):
                          sync=sync, freeze=freeze, fail_safe=True, min_slave_interval=profile.MIN_SLAVE_INTERVAL, active=active)
         self._channel = self._make_channel()
         self._facts: dict[str, float] | None = None
+        self._rescaled = False  # what units depend on was written, and no Enter command has put it into force yet
         self._fixed_unit = self._check_unit(frequency_unit)
         self._fixed_maximum = self._check_maximum(maximum_frequency)
         self._heard = False
@@ -486,26 +487,30 @@ class YaskawaSIP3(Drive[SIP3Status]):
         is written. Most parameters, and storing, are refused while the drive runs."""
         self._need_channel("write")
         words = {name: self._word_of(name, value) for name, value in values.items()}
-        try:
-            for name, word in words.items():
-                self._write_word(name, word, timeout)
-            self._enter(store, timeout)
-        finally:
-            if _SCALING & {name.strip().casefold() for name in values}:
-                self._facts = None
+        for name, word in words.items():
+            self._write_word(name, word, timeout)
+        self._enter(store, timeout)
 
     def enter(self, *, store: bool = False, timeout: float = _ANSWERED) -> None:
         """The Enter command: what was written comes into force; with `store` it is kept in the EEPROM."""
-        try:
-            self._enter(store, timeout)
-        finally:
-            self._facts = None  # nobody knows what had been written
+        self._rescaled = True  # nobody knows what had been written
+        self._enter(store, timeout)
 
     def _enter(self, store: bool, timeout: float) -> None:
-        if isinstance(self._need_channel("enter"), PKWChannel):
-            self._task(pkw.Task.CHANGE, profile.PNU_ENTER_ROM if store else profile.PNU_ENTER_RAM, 0, 0, timeout)
-        else:
-            self.write_register(profile.ENTER_ROM if store else profile.ENTER_RAM, 0, timeout=timeout)
+        """What units depend on is forgotten with the Enter command that puts something else into force."""
+        rescaled = self._rescaled
+        try:
+            if isinstance(self._need_channel("enter"), PKWChannel):
+                self._task(pkw.Task.CHANGE, profile.PNU_ENTER_ROM if store else profile.PNU_ENTER_RAM, 0, 0, timeout)
+            else:
+                self.write_register(profile.ENTER_ROM if store else profile.ENTER_RAM, 0, timeout=timeout)
+            self._rescaled = False
+        except ParameterAccessError:
+            rescaled = False  # refused: what was written waits for the next one
+            raise
+        finally:
+            if rescaled:
+                self._facts = None
 
     def _word_of(self, name: str, value: float) -> int:
         parameter = self.table.get(name)
@@ -535,7 +540,8 @@ class YaskawaSIP3(Drive[SIP3Status]):
 
     def write_pnu(self, pnu: int, value: int, index: int | None = None, *, double: bool = False,
                   timeout: float = _ANSWERED) -> None:
-        """Change a parameter number, or an element of an array: a word, or with `double` a double word."""
+        """Change a parameter number, or an element of an array: a word, or with `double` a double word. A drive parameter's
+        comes into force with `enter`."""
         tasks = (pkw.Task.CHANGE, pkw.Task.CHANGE_DOUBLE) if index is None else (
             pkw.Task.CHANGE_ELEMENT, pkw.Task.CHANGE_ELEMENT_DOUBLE)
         self._task(tasks[double], pnu, index or 0, value, timeout)
@@ -555,6 +561,8 @@ class YaskawaSIP3(Drive[SIP3Status]):
             raise ConfigurationError(f"parameter numbers: {self.layout} has MEMOBUS registers in their place; PPO 1, 2 and 5 "
                                      "have them")
         name = profile.parameter_name(pnu, index) if pnu else self.table.register_name(index)
+        if task in pkw.CHANGES:
+            self._note([name])
         return channel.ask(pkw.Message(task, pnu, index, value), name, timeout).value
 
     # Registers
@@ -587,8 +595,13 @@ class YaskawaSIP3(Drive[SIP3Status]):
                 part = 1
             else:
                 part = min(channel.words, len(words))
+                self._note(self.table.register_name(first + n) for n in range(part))
                 channel.access(Function.WRITE, first, 2 * part, words[:part], timeout)
             words, first = words[part:], first + part
+
+    def _note(self, names: Iterable[str]) -> None:
+        """These are written from here on; what is said of them counts with the next Enter command."""
+        self._rescaled = self._rescaled or not _SCALING.isdisjoint(name.casefold() for name in names)
 
     def loop_back(self, words: Sequence[int], *, timeout: float = _ANSWERED) -> tuple[int, ...]:
         """MEMOBUS 08h: the drive sends the words back (Extended Data 1: up to 4, Extended Data 2: 1)."""

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal, overload
 from dpmaster._arguments import number
 from dpmaster.drives.channel import ParameterChannel
 from dpmaster.drives.drive import Drive, ParameterInfo, Terminals, flags_and_values
-from dpmaster.errors import CommissioningError, ConfigurationError, DPTimeout
+from dpmaster.errors import CommissioningError, ConfigurationError, DPTimeout, ParameterAccessError
 from dpmaster.profiles.yaskawa import (
     HIGHEST_FREQUENCY,
     WD_MODULUS,
@@ -356,10 +356,14 @@ class YaskawaV7(Drive[V7Status]):
             if isinstance(word, bool) or not isinstance(word, int) or not 0 <= word <= 0xFFFF:
                 raise ConfigurationError(f"write_parameter {name!r}: {word!r} is no word, 0 to 65535")
         first = register(name)
+        scaling = not _SCALING.isdisjoint(range(first, first + len(values)))
         try:
             channel.access(Function.WRITE, first, 2 * len(values), values, timeout)
+        except ParameterAccessError:
+            scaling = False  # refused: nothing has changed
+            raise
         finally:
-            if not _SCALING.isdisjoint(range(first, first + len(values))):
+            if scaling:
                 self._facts = None
 
     def _check_count(self, count: int, channel: ParameterChannel) -> None:
