@@ -615,6 +615,23 @@ def test_feeding_keeps_the_outputs():
         assert bus.exchange()[7:9] == b"\x11\x11"
 
 
+def test_the_output_watchdog_holds_while_its_clock_goes_round():
+    """It counts 2^32 ticks of 2^18 ns: 13 days."""
+    bus = Bus(output_watchdog=1 * S)
+    bus.start()
+    bus.script.now = 2**50 - 3 * S
+    bus.master.mode(lib.DPM_MODE_OPERATE, bus.script.now)
+    bus.master.commit(0, b"\x11\x11", bus.script.now)
+    bus.exchange()
+    while bus.script.now < 2**50 - S // 2:
+        fed = bus.script.now
+        lib.dpm_master_feed(bus.master.master, fed, lib.DPM_FED_PROGRAM)
+        assert bus.exchange()[7:9] == b"\x11\x11"
+    while bus.exchange()[7:9] == b"\x11\x11":
+        pass
+    assert fed + 1 * S < bus.script.last.start < fed + 1.003 * S
+
+
 def test_a_stopped_process_comes_back_with_safe_outputs():
     """SIGSTOP for a while, then SIGCONT: nothing of before is sent."""
     bus = Bus(output_watchdog=1 * S)

@@ -15,6 +15,8 @@
 #define HOUR 3600000000000 /* ns; the longest time a caller may set */
 /* A cycle in which no slave was asked is not repeated before this has passed, ns. */
 #define EMPTY_CYCLE 1000000
+/* The output watchdog's clock: ns of a tick, and ticks by which a feed may be ahead of the bus thread's last look. */
+enum { TICK = 1 << 18, AHEAD = 1 << 14 };
 
 /* Control_Command: Clear_Data, and what a program may order besides. */
 enum { CLEAR_DATA = 0x02, COMMANDS = 0x3C };
@@ -82,18 +84,26 @@ static void enter_mode(dpm_master *m, uint8_t mode, int64_t now)
     }
 }
 
+/* Any thread feeds, so the time is one word, which never hides a lock (see image.c): a number of ticks, rounded up. It goes
+ * round in 13 days; what seems further ahead than a feed can be was long ago. */
+static int64_t fed_at(const dpm_master *m, int64_t now)
+{
+    const int64_t horizon = now / TICK + AHEAD;
+    return (horizon - (uint32_t)((uint32_t)horizon - atomic_load_explicit(&m->fed_tick, memory_order_acquire))) * TICK;
+}
+
 /* Behind its time a feed is too late, also where the bus thread has slept as long as the program (SIGSTOP, a suspended
  * machine) and has yet to judge: "when the program hangs, drives do not run on". */
 static bool too_late(const dpm_master *m, int64_t now)
 {
     return m->config.output_watchdog && atomic_load_explicit(&m->armed, memory_order_acquire) &&
-           now > atomic_load_explicit(&m->fed_at, memory_order_acquire) + m->config.output_watchdog;
+           now > fed_at(m, now) + m->config.output_watchdog;
 }
 
 static void feed(dpm_master *m, int64_t now, int by)
 {
     atomic_store_explicit(&m->fed_by, by, memory_order_relaxed);
-    atomic_store_explicit(&m->fed_at, now, memory_order_release);
+    atomic_store_explicit(&m->fed_tick, (uint32_t)(now / TICK + 1), memory_order_release);
 }
 
 void dpm_master_feed(dpm_master *master, int64_t now, int by)
@@ -108,22 +118,22 @@ void dpm_master_arm(dpm_master *master, int64_t time)
     if (atomic_load_explicit(&master->armed, memory_order_relaxed))
         return;
     atomic_store_explicit(&master->armed, true, memory_order_release);
-    if (time > atomic_load_explicit(&master->fed_at, memory_order_relaxed))
+    if (time > fed_at(master, master->asked_at))
         feed(master, time, DPM_FED_COMMIT);
 }
 
 /* When the output watchdog runs out; outputs that no commit has ever touched are safe already. */
-static int64_t watchdog_at(const dpm_master *m)
+static int64_t watchdog_at(const dpm_master *m, int64_t now)
 {
     if (m->mode != DPM_MODE_OPERATE || !m->config.output_watchdog ||
         !atomic_load_explicit(&m->armed, memory_order_acquire))
         return DPM_NEVER;
-    return atomic_load_explicit(&m->fed_at, memory_order_acquire) + m->config.output_watchdog;
+    return fed_at(m, now) + m->config.output_watchdog;
 }
 
 static void judge_watchdog(dpm_master *m, int64_t now)
 {
-    if (now <= watchdog_at(m))
+    if (now <= watchdog_at(m, now))
         return;
     m->latched = true;
     m->latched_by = (uint8_t)atomic_load_explicit(&m->fed_by, memory_order_relaxed);
@@ -459,7 +469,7 @@ static int master_next(void *context, int64_t now, dpm_request *request, int64_t
 {
     dpm_master *m = context;
     finish_leaving(m, now);
-    *wake = min_of(*wake, watchdog_at(m));
+    *wake = min_of(*wake, watchdog_at(m, now));
     if (m->mode < DPM_MODE_CLEAR)
         return 0;
     if (!m->in_cycle && !begin_cycle(m, now, wake))
@@ -712,7 +722,7 @@ static void master_ask(dpm_machine *machine, int64_t now, dpm_offer *offer)
     judge_watchdog(m, now);
     judge_transfer(m, now);
     m->station_ask(machine, now, offer);
-    offer->wake = min_of(offer->wake, min_of(watchdog_at(m), auto_clear_at(m)));
+    offer->wake = min_of(offer->wake, min_of(watchdog_at(m, now), auto_clear_at(m)));
     refuse_raw(m);
 }
 

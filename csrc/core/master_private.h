@@ -60,8 +60,8 @@ struct dpm_master {
     bool latched;
     uint8_t latched_by;   /* what had fed the output watchdog when it ran out */
     bool port_works;
-    _Atomic int64_t fed_at;
-    _Atomic int fed_by;
+    atomic_uint fed_tick;
+    atomic_int fed_by;
     atomic_bool armed;    /* outputs of a commit are alive */
 
     bool fresh_token;     /* a turn of the token that has not begun a cycle yet */
