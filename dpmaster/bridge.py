@@ -10,9 +10,11 @@ from __future__ import annotations
 import os
 import pty
 import select
+import socket
 import threading
 import tty
 from types import TracebackType
+from urllib.parse import urlsplit
 
 import serial
 
@@ -21,9 +23,17 @@ from dpmaster.errors import ConfigurationError, PortError
 
 __all__ = ["Bridge"]
 
-SCHEMES = ("socket://", "rfc2217://")
+SCHEMES = ("socket", "rfc2217")
 SLICE = 0.1  # s between two looks whether the end is wanted
 CHUNK = 512
+
+
+def _is_url(url: object) -> bool:
+    try:
+        parts = urlsplit(url) if isinstance(url, str) else None
+        return parts is not None and parts.scheme in SCHEMES and bool(parts.hostname and parts.port)
+    except ValueError:  # no port has such a number
+        return False
 
 
 class Bridge:
@@ -32,7 +42,7 @@ class Bridge:
     """
 
     def __init__(self, url: str, baudrate: int = 500_000) -> None:
-        if not isinstance(url, str) or not url.startswith(SCHEMES):
+        if not _is_url(url):
             raise ConfigurationError(f"url {url!r}: socket://HOST:PORT, or rfc2217://HOST:PORT where the converter speaks that")
         whole("baudrate", baudrate, 1, 12_000_000)
         self.url = url
@@ -40,6 +50,8 @@ class Bridge:
             self._line = serial.serial_for_url(url, do_not_open=True, baudrate=baudrate, parity=serial.PARITY_EVEN,
                                                timeout=SLICE)
             self._line.open()
+            # Else a telegram waits until the converter has acknowledged the one before: 40 ms (RFC 896, RFC 1122).
+            self._line._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # type: ignore[attr-defined]
         except (serial.SerialException, OSError, ValueError) as error:
             raise PortError(f"{url}: {error}; is the converter on, and free?", path=url) from None
         self._pty, self._near = pty.openpty()  # its near end stays open here, so that a client's end is no hang-up
@@ -65,7 +77,8 @@ class Bridge:
     def _inward(self) -> None:
         octets = self._line.read(1)
         if octets:
-            octets += self._line.read(min(self._line.in_waiting, CHUNK))
+            while len(octets) < CHUNK and self._line.in_waiting:  # a socket:// has 1 waiting when it has any
+                octets += self._line.read(self._line.in_waiting)
             try:
                 os.write(self._pty, octets)
             except BlockingIOError:  # nobody reads the pty: a wire waits for nobody

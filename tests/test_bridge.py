@@ -97,6 +97,12 @@ def test_a_master_drives_through_a_converter(url: str) -> None:
         bridge.check()
 
 
+def test_no_telegram_waits_for_the_acknowledgement_of_the_one_before(url: str) -> None:
+    """RFC 896 (Nagle) against RFC 1122 (delayed acknowledgement): 40 ms for every answer behind a token."""
+    with Bridge(url) as bridge:
+        assert bridge._line._socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+
+
 def test_a_bridge_leaves_nothing_behind(url: str) -> None:
     threads, descriptors = threading.active_count(), len(os.listdir("/proc/self/fd"))
     bridge = Bridge(url)
@@ -113,7 +119,7 @@ def test_nobody_there_is_one_clear_error() -> None:
         Bridge(f"socket://127.0.0.1:{port}")
 
 
-@pytest.mark.parametrize("wrong", ["/dev/ttyS0", "tcp://x:1", 5])
+@pytest.mark.parametrize("wrong", ["/dev/ttyS0", "tcp://x:1", "socket://x", "socket://x:99999", "socket://:5", 5])
 def test_what_is_no_url_is_refused(wrong: object) -> None:
     with pytest.raises(ConfigurationError, match="socket://HOST:PORT"):
         Bridge(wrong)  # type: ignore[arg-type]
