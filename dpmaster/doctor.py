@@ -62,7 +62,7 @@ def examine(path: str, baudrate: int | None = None, listen: float = 1.0) -> Diag
     port = Port.at(path)
     rates: tuple[Rate, ...] = ()
     remarks = [*_identity(port), *_access(port)]
-    if not port.access:
+    if port.permitted:
         try:
             rates = port.rates()
             remarks += [*_rates(port, rates, baudrate), *_direction(port), *_delivery(port)]
@@ -89,9 +89,13 @@ def _identity(port: Port) -> Iterator[Remark]:
 
 
 def _access(port: Port) -> Iterator[Remark]:
-    if port.access:
-        yield Remark(Level.BAD, "permission", f"this user may not open it, the group {port.access} may",
-                     f"sudo usermod -aG {port.access} {os.environ.get('USER', '$USER')}, then log in again")
+    if not port.permitted:
+        yield Remark(Level.BAD, "permission", *(
+            (f"this user may not open it, the group {port.group} may",
+             f"sudo usermod -aG {port.group} {os.environ.get('USER', '$USER')}, then log in again") if port.group else
+            ("only root may open it",
+             "free it of the console (see there), and reboot: the system's rules give it to dialout then" if port.console else
+             'a udev rule with GROUP="dialout", MODE="0660", as in examples/99-dpmaster.rules')))
     if port.console:
         yield Remark(Level.BAD, "console", "the kernel's console is on it: its messages would go to the bus",
                      "take console= of this port out of the kernel's command line (on a Raspberry Pi: raspi-config, Serial "

@@ -86,15 +86,20 @@ class Port:
         return Path(self.path).resolve().name in _words("/sys/class/tty/console/active")
 
     @property
-    def access(self) -> str:
-        """The group that may open it, where this user may not; "" where he may."""
-        if os.access(self.path, os.R_OK | os.W_OK):
+    def permitted(self) -> bool:
+        """This user may open it."""
+        return os.access(self.path, os.R_OK | os.W_OK)
+
+    @property
+    def group(self) -> str:
+        """The group whose members may open it, "" where only root may."""
+        status = os.stat(self.path)
+        if not status.st_gid or ~status.st_mode & (stat.S_IRGRP | stat.S_IWGRP):
             return ""
-        group = os.stat(self.path).st_gid
         try:
-            return grp.getgrgid(group).gr_name
+            return grp.getgrgid(status.st_gid).gr_name
         except KeyError:
-            return str(group)
+            return str(status.st_gid)
 
     def rates(self) -> tuple[Rate, ...]:
         """Every PROFIBUS rate, set and read back. Raises PortError where it cannot be opened at all."""

@@ -3,14 +3,17 @@
 
 from __future__ import annotations
 
+import grp
 import json
 import os
 import pty
 import resource
+import stat
 import threading
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -86,6 +89,21 @@ def test_rates_are_told_with_those_that_lack(adapter: Port) -> None:
     assert found["rates"].text == "9.6k, 19.2k bit/s with even parity; not 500k bit/s"
     assert found["rate"].level is Level.BAD and "500k bit/s is not among them" in found["rate"].text
     assert remarks(doctor._rates(adapter, (Rate(9600, None),), None))["rates"].level is Level.BAD
+
+
+@pytest.mark.parametrize(("mode", "gid", "text", "remedy"), [
+    (0o660, "tty", "this user may not open it, the group tty may", "sudo usermod -aG tty "),
+    (0o620, "tty", "only root may open it", "a udev rule"),  # as a getty leaves it
+    (0o660, "root", "only root may open it", "a udev rule"),
+])
+def test_who_may_not_open_a_port_is_told_how_to(
+        monkeypatch: pytest.MonkeyPatch, mode: int, gid: str, text: str, remedy: str) -> None:
+    """Nobody is sent into the group root, or into one that may not open it either."""
+    status = SimpleNamespace(st_mode=stat.S_IFCHR | mode, st_gid=grp.getgrnam(gid).gr_gid)
+    monkeypatch.setattr("dpmaster.ports.os", SimpleNamespace(
+        stat=lambda path: status, access=lambda path, how: False, R_OK=os.R_OK, W_OK=os.W_OK))
+    found = remarks(doctor._access(Port("/dev/no-such-port", "uart")))["permission"]
+    assert (found.level, found.text) == (Level.BAD, text) and found.remedy.startswith(remedy)
 
 
 def test_limits_of_the_user_decide_about_priority(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -249,6 +267,12 @@ def test_perf_counts_cycles_and_draws_them(tmp_path: Path, capsys: pytest.Captur
     found = json.loads(capsys.readouterr().out)
     assert found["cycles"] + found["skipped"] >= 40 and found["cycles"] == sum(each["cycles"] for each in found["classes"])
     assert ElementTree.parse(picture).getroot().tag.endswith("svg")
+
+
+def test_a_picture_that_cannot_be_written_does_not_cost_the_measurement(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["perf", "--seconds", "0.1", "--svg", "/no/such/folder/p.svg"]) == 1
+    shown = capsys.readouterr()
+    assert "99.9 % within" in shown.out and "name a file that can be written" in shown.err
 
 
 def test_perf_s_shares() -> None:

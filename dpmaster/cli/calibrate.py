@@ -34,7 +34,8 @@ def ms(seconds: float) -> str:
 def text(found: Calibration) -> str:
     lines = [f"{found.port} at {found.baudrate / 1000:g} kbit/s, by {found.by}, {found.samples} times, on {found.machine}", "",
              f"  heard late by       {ms(found.mean)} in the mean, 99 % within {ms(found.p99)}, at most {ms(found.worst)}",
-             f"  allowance           {ms(found.allowance)}, three times the worst; Master(..., allowance={found.allowance:g})"]
+             f"  allowance           {ms(found.allowance)}, three times the worst: Master(..., allowance={found.allowance:g})",
+             f"  {'':<20}in a bus file: allowance = {found.allowance:g}"]
     if found.rate is not None:
         off = (found.rate / float(BusParameters.default(found.baudrate).rate) - 1) * 100
         lines.append(f"  rate                {found.rate / 1000:.4g} kbit/s measured, {off:+.2f} %"
@@ -49,10 +50,10 @@ def text(found: Calibration) -> str:
 def run(args: argparse.Namespace) -> int:
     found = calibrate(args.port, args.baudrate, address=args.address, station=args.station, count=args.count,
                       direction=args.direction, said=lambda words: print(words, file=sys.stderr))
+    print(json.dumps({**asdict(found), "ring_rates": found.ring_rates}) if args.json else text(found))
     if args.output:
         try:
             found.save(args.output)
         except OSError as error:
             raise DPError(f"--output {args.output}: {error.strerror}; name a file that can be written") from None
-    print(json.dumps({**asdict(found), "ring_rates": found.ring_rates}) if args.json else text(found))
     return 0

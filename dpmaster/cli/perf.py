@@ -46,10 +46,10 @@ def text(found: Punctuality) -> str:
 def run(args: argparse.Namespace) -> int:
     realtime = Realtime(args.priority, args.cpu) if args.priority else False
     found = measure(args.port, args.baudrate, cycle_time=args.cycle_time / 1000, duration=args.seconds, realtime=realtime)
+    print(json.dumps(asdict(found)) if args.json else text(found))
     if args.svg:
         try:
             Path(args.svg).write_text(svg(found))
         except OSError as error:
             raise DPError(f"--svg {args.svg}: {error.strerror}; name a file that can be written") from None
-    print(json.dumps(asdict(found)) if args.json else text(found))
     return 0

@@ -17,8 +17,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def line(port: Port) -> str:
+    barred = "" if port.permitted else f"for the group {port.group}" if port.group else "for root only"
     words = [port.description, f"driver {port.driver}" if port.driver else "", "the kernel's console" if port.console else "",
-             f"for the group {port.access}" if port.access else "", *(link for link in port.links if "by-id" in link)]
+             barred, *(link for link in port.links if "by-id" in link)]
     return f"{port.path:<16}{port.kind:<6}{', '.join(word for word in words if word)}".rstrip()
 
 
