@@ -13,6 +13,8 @@ import grp
 import os
 import stat
 import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,7 +31,7 @@ __all__ = ["Port", "Rate", "ports"]
 PTYS, USB = range(136, 144), (166, 188)  # major numbers: Documentation/admin-guide/devices.txt
 LEVELS = ("device", "device/..", "device/../..")  # since Linux 6.5 two devices of the serial core lie in between
 SERIAL_CORE = ("port", "ctrl")
-TIOCGRS485, TIOCSRS485 = 0x542E, 0x542F
+TCGETS2, TCSETS2, TIOCGRS485, TIOCSRS485 = 0x802C542A, 0x402C542B, 0x542E, 0x542F
 RS485_ENABLED = 1
 
 
@@ -102,8 +104,14 @@ class Port:
             return str(status.st_gid)
 
     def rates(self) -> tuple[Rate, ...]:
-        """Every PROFIBUS rate, set and read back. Raises PortError where it cannot be opened at all."""
-        return tuple(Rate(nominal, self._try(nominal)) for nominal in BAUDRATES)
+        """Every PROFIBUS rate, set and read back; then the line is as it was. Raises PortError where it cannot be opened."""
+        try:
+            with self._kept(TCGETS2, TCSETS2, 44):
+                return tuple(Rate(nominal, self._try(nominal)) for nominal in BAUDRATES)
+        except PortError:
+            raise
+        except OSError as error:
+            raise port_error(self.path, lib.DPM_E_IN_USE if error.errno == errno.EBUSY else lib.DPM_E_NO_PORT) from None
 
     def _try(self, nominal: int, direction: int = lib.DPM_DIRECTION_AUTO) -> int | None:
         rate = BusParameters.default(nominal).rate
@@ -122,17 +130,25 @@ class Port:
 
     def rs485(self) -> tuple[bool, bool]:
         """Whether the driver can switch the direction, and whether it does already. What it was set to is put back."""
-        fd = os.open(self.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
         try:
-            before = fcntl.ioctl(fd, TIOCGRS485, bytes(32))
-            can = self._try(9600, lib.DPM_DIRECTION_RS485) is not None
-            if can:
-                fcntl.ioctl(fd, TIOCSRS485, before)
-            return can, bool(struct.unpack_from("I", before)[0] & RS485_ENABLED)
+            with self._kept(TCGETS2, TCSETS2, 44), self._kept(TIOCGRS485, TIOCSRS485, 32) as before:
+                can = self._try(9600, lib.DPM_DIRECTION_RS485) is not None
+                return can, bool(struct.unpack_from("I", before)[0] & RS485_ENABLED)
         except PortError:
             raise
         except OSError:  # it does not know the question
             return False, False
+
+    @contextmanager
+    def _kept(self, get: int, put: int, size: int) -> Iterator[bytes]:
+        """What the driver says to the ioctl `get`, and is told again in the end: somebody may use the port, or a console."""
+        fd = os.open(self.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
+        try:
+            before = fcntl.ioctl(fd, get, bytes(size))
+            try:
+                yield before
+            finally:
+                fcntl.ioctl(fd, put, before)
         finally:
             os.close(fd)
 

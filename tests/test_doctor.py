@@ -9,6 +9,7 @@ import os
 import pty
 import resource
 import stat
+import termios
 import threading
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
@@ -124,6 +125,20 @@ def test_the_doctor_sends_nothing_and_names_what_it_hears(wire: Segment) -> None
         found = examine(port, RATE, listen=0.2)
     assert remarks(iter(found.remarks))["bus"].text == "telegrams are heard, master 3 has it; 0 line errors"
     assert found.works
+
+
+def test_the_doctor_leaves_a_line_as_it_was() -> None:
+    """It may be somebody's console."""
+    far, near = pty.openpty()
+    try:
+        before = termios.tcgetattr(near)
+        port = Port(os.ttyname(near), "uart")
+        assert len(port.rates()) == 11
+        assert port.rs485() == (False, False)
+        assert termios.tcgetattr(near) == before
+    finally:
+        os.close(far)
+        os.close(near)
 
 
 def test_a_bus_without_telegrams_is_another_rate_or_exchanged_wires(wire: Segment) -> None:
