@@ -32,6 +32,7 @@ KERNEL = BUILD / "vmlinuz"
 COMPILER, QEMU = "aarch64-linux-gnu-gcc", "qemu-system-aarch64"
 EXCHANGES = {"pl011": 300, "16550": 60}  # as guest.c asks for
 BOUND = 100.0  # s for all of it, on any machine
+pytestmark = pytest.mark.timeout(600)  # s; the first time the kernel is fetched
 UARTS = {"pl011": 500_000, "16550": 19_200}  # with the rate of the master's bus
 RATES = (9600, 19200, 31250, 45450, 93750, 187500, 500000, 1500000, 3000000, 6000000, 12000000)
 
