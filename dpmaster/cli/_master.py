@@ -42,11 +42,25 @@ def ident(text: str) -> int:
     return value
 
 
+def milliseconds(text: str) -> float:
+    """The type of an argument in ms; in s."""
+    try:
+        return float(text) / 1000
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r}: a number of ms") from None
+
+
+def add_allowance(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--allowance", type=milliseconds, metavar="MS",
+                        help="how late this host hears, as dpmaster calibrate says (default: by the kind of port)")
+
+
 def add_port(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("port", metavar="PORT", help="path of a serial port or of a segment's port")
     parser.add_argument("--baudrate", type=int, default=RATE, metavar="B", help=f"bit/s (default {RATE})")
     parser.add_argument("--address", type=whole(HIGHEST), default=0, metavar="A",
                         help="this program's own on the bus, which no other station may have (default 0)")
+    add_allowance(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -58,7 +72,7 @@ def add_station(parser: argparse.ArgumentParser) -> None:
 
 def opened(args: argparse.Namespace) -> Master:
     """The master of a command that asks stations and starts none."""
-    return Master(args.port, args.baudrate, args.address, output_watchdog=None)
+    return Master(args.port, args.baudrate, args.address, output_watchdog=None, allowance=args.allowance)
 
 
 def device(ident_number: int) -> str:

@@ -20,6 +20,7 @@ from dataclasses import asdict
 from typing import Any
 
 from dpmaster import Master
+from dpmaster.cli._master import add_allowance
 from dpmaster.cli.demo import SLOW, number
 from dpmaster.drives import PROFILES, Drive, DriveStatus
 from dpmaster.errors import ConfigurationError, DPTimeout, StationError
@@ -77,6 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="an argument of its class, like maximum_frequency=50")
     parser.add_argument("--baudrate", type=int, default=500_000, metavar="B", help="bit/s (default 500000)")
     parser.add_argument("--master", type=int, default=1, metavar="A", help="this program's own address (default 1)")
+    add_allowance(parser)
     actions = parser.add_subparsers(metavar="ACTION", required=True)
     common = argparse.ArgumentParser(add_help=False)
     common.add_argument("--json", action="store_true", help="print one JSON object")
@@ -110,7 +112,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     drive = make(args)
-    with Master(args.port, args.baudrate, args.master, cycle_time=CYCLE) as master:
+    with Master(args.port, args.baudrate, args.master, cycle_time=CYCLE, allowance=args.allowance) as master:
         master.add(drive)
         master.operate()
         code: int = args.action(args, drive)

@@ -16,6 +16,7 @@ from dataclasses import asdict, replace
 from typing import Any
 
 from dpmaster.busfile import BusFile
+from dpmaster.cli._master import milliseconds
 from dpmaster.drives import PROFILES as DRIVES
 from dpmaster.errors import ConfigurationError
 from dpmaster.station import watchdog_factors
@@ -87,13 +88,6 @@ def addresses(text: str) -> tuple[int, ...]:
     if not re.fullmatch(r"\d{1,3}(,\d{1,3})*", text):
         raise argparse.ArgumentTypeError(f"{text!r}: addresses with commas between them")
     return tuple(map(int, text.split(",")))
-
-
-def milliseconds(text: str) -> float:
-    try:
-        return float(text) / 1000
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r}: a number of ms") from None
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
