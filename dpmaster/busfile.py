@@ -20,6 +20,7 @@ from typing import Any
 
 from dpmaster import _arguments
 from dpmaster.bus import direction_code
+from dpmaster.calibration import Calibration
 from dpmaster.drives import PROFILES as DRIVES
 from dpmaster.errors import ConfigurationError
 from dpmaster.gsd import GSD
@@ -239,8 +240,10 @@ class _Loader:
 
     def options(self, bus: Table) -> Table:
         """The arguments of Master."""
-        self.known(("bus",), bus, [*_MASTER, *_PLAN, "parameters"])
+        self.known(("bus",), bus, [*_MASTER, *_PLAN, "parameters", "calibration"])
         options = {name: self.typed(("bus", name), bus[name], _MASTER[name]) for name in bus if name in _MASTER}
+        if "calibration" in bus:
+            self.attempt(("bus", "calibration"), lambda: options.setdefault("allowance", self.measured(bus["calibration"])))
         realtime = options.get("realtime")
         if isinstance(realtime, dict) and self.known(("bus", "realtime"), realtime, _keywords(Realtime)):
             options["realtime"] = self.attempt(("bus", "realtime"), lambda: Realtime(**realtime))
@@ -252,6 +255,15 @@ class _Loader:
             checked = _keywords(Master.check_options)
             self.attempt(("bus",), lambda: Master.check_options(**{k: v for k, v in options.items() if k in checked}), bus)
         return options
+
+    def measured(self, name: Any) -> float:
+        """The allowance that ``dpmaster calibrate --output`` wrote beside the bus file."""
+        if not isinstance(name, str):
+            raise ConfigurationError(f"{name!r}: the path of a file that 'dpmaster calibrate --output' wrote, in quotes")
+        try:
+            return Calibration.load(self.source.path.parent / name).allowance
+        except OSError as error:
+            raise ConfigurationError(f"{name}: {error.strerror}: 'dpmaster calibrate PORT --output {name}' writes it") from None
 
     def timing(self, bus: Table, options: Table, stations: list[Station]) -> Timing | None:
         """Bus parameters of this bus; what will not work is a fault."""
@@ -265,6 +277,8 @@ class _Loader:
             allowance=options.get("allowance"), cycle_time=options.get("cycle_time"), changes=changes, **given), bus)
         if len(stations) > options.get("max_stations", len(stations)):
             self.fault(("bus", "max_stations"), f"{options['max_stations']}: the file has {len(stations)} stations")
+        if timing and timing.ring and options.get("ring") is False:
+            self.fault(("bus", "ring"), f"false, and {timing.masters} masters on the bus share a token: leave one key out")
         for finding in timing.findings if timing else ():
             if finding.fatal and self.works:
                 self.fault(("bus",), f"{finding.text}; {finding.remedy}")

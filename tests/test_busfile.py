@@ -29,6 +29,7 @@ from hypothesis import strategies as st
 
 from dpmaster import ConfigurationError, Master, PortError, Station, StationState, cli
 from dpmaster.busfile import BusFile
+from dpmaster.calibration import Calibration
 from dpmaster.cli.run import View, logged, numeral, picture
 from dpmaster.drives import YaskawaV7
 from dpmaster.emulator import Segment
@@ -516,3 +517,21 @@ def test_a_station_of_gsd_config_can_be_pasted(write: Callable[..., Path], capsy
         file.write("\n" + capsys.readouterr().out)
     station = BusFile.load(path).stations[-1]
     assert (station.address, station.configuration, station.user_parameters) == (11, b"\x20", b"\x01")
+
+
+def test_masters_that_share_a_bus_are_a_ring(write: Callable[..., Path]) -> None:
+    with pytest.raises(ConfigurationError, match=r":6: bus\.ring: false, and 2 masters on the bus share a token"):
+        BusFile.load(write(BUS, "address = 2\n", "address = 2\nmasters = 2\nring = false\nallowance = 0.001\n"))
+
+
+def test_what_was_measured_is_the_allowance(write: Callable[..., Path]) -> None:
+    path = write(BUS, "address = 2\n", 'address = 2\nmasters = 2\ncalibration = "found.json"\n')
+    with pytest.raises(ConfigurationError, match=r":6: bus\.calibration: found\.json: No such file .*calibrate PORT --output"):
+        BusFile.load(path)
+    Calibration("PORT", 500_000, "echo", 300, 1e-4, 2e-4, 3e-4, 0.0009, None, "here").save(path.with_name("found.json"))
+    bus = BusFile.load(path)
+    assert bus.options["allowance"] == 0.0009
+    assert bus.timing.parameters.tsl >= 200 + 15 + 450, "max Tsdr + 15 + 0.9 ms of 500 kbit/s"
+    path.with_name("found.json").write_text("[]")
+    with pytest.raises(ConfigurationError, match=r":6: bus\.calibration: .*give a file that"):
+        BusFile.load(path)
