@@ -543,6 +543,13 @@ def test_init_ends_an_access_that_outlasts_the_settling_time(configuration: str,
         assert drive.read_register("d1-01") == value + 1 == drive.card.registers.word(0x0280)
 
 
+def test_a_card_with_the_other_size_of_ind_is_named() -> None:
+    """F6-33: IND of a card set to bytes lies elsewhere, and it sees no request that it knows."""
+    drive = bench("PPO Type 1", settings={"F6-33": 1})
+    with pytest.raises(DPTimeout, match=r"no answer to .* if it never answers, its IND may be of the other size: give index="):
+        _ = drive.read("C1-01", timeout=0.3)
+
+
 @pytest.mark.parametrize("configuration", ["PPO Type 1", *MEMOBUS])
 def test_a_card_that_never_answers_is_a_time_out_and_no_hang(configuration: str) -> None:
     drive = bench(configuration)

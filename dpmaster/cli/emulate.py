@@ -54,7 +54,7 @@ def _sip1_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _sip3_arguments(parser: argparse.ArgumentParser) -> None:
-    _drive_arguments(parser, "F6-33=1")
+    _drive_arguments(parser, "C1-01=50")
     parser.set_defaults(make=lambda args: SIP3(args.address, parameters=args.parameters, settings=_settings(args.settings)))
 
 

@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from typing import Protocol, TypeVar
+from typing import ClassVar, Protocol, TypeVar
 
 from dpmaster import _arguments, _errand
 from dpmaster.drives.drive import SETTLE
@@ -57,6 +57,9 @@ class Interrupted(StationError):
 class Channel(ABC):
     """A channel that carries one request at a time, in the order in which they came."""
 
+    _silence: ClassVar[str] = ""
+    """What a person may look at when there never is an answer."""
+
     def __init__(self, wire: Wire, offset: int) -> None:
         self._wire = wire
         self._offset = offset
@@ -89,7 +92,7 @@ class Channel(ABC):
                 self._withdraw()
                 if isinstance(late, DPTimeout):
                     raise DPTimeout(f"parameter channel: no answer to {what} within {timeout:g} s; the channel can be used "
-                                    f"again ({late})") from late
+                                    f"again{self._silence} ({late})") from late
                 raise
 
     def _withdraw(self) -> None:
@@ -248,6 +251,8 @@ class PKWChannel(Channel):
 
     Task 0 follows every answer at once: a channel that nobody uses says "no action".
     """
+
+    _silence = "; if it never answers, its IND may be of the other size: give index='byte' or 'word', as the drive is set"
 
     def __init__(self, wire: Wire, offset: int, requester: pkw.Requester, meanings: Mapping[int, str]) -> None:
         super().__init__(wire, offset)
