@@ -26,6 +26,7 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from waiting import until
 
 from dpmaster import ConfigurationError, Master, PortError, Station, StationState, cli
 from dpmaster.busfile import BusFile
@@ -426,10 +427,7 @@ def test_run_goes_on_when_the_port_comes_back(write: Callable[..., Path], tmp_pa
             link.symlink_to(segment.port())
             if not running:
                 running.append(subprocess.Popen(program, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True))
-            deadline = time.monotonic() + 20
-            while valves.outputs != b"\x10" and time.monotonic() < deadline:
-                time.sleep(0.01)
-            assert valves.outputs == b"\x10"
+            until(lambda valves=valves: valves.outputs == b"\x10")
 
     text = BUS[: BUS.index("[[station]]")] + BUS[BUS.index("[[station]]\naddress = 7") : BUS.index("[[station]]\naddress = 9")]
     path = write(text, 'port = "PORT"', f'port = "{link}"')

@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from simulation import Simulation
+from waiting import until
 from wire import MS, S, Slaves, default_parameters, lib
 from wire import Master as CoreMaster
 
@@ -116,9 +116,3 @@ def test_a_port_that_is_out_has_no_reader_and_stops_nobody() -> None:
         with pytest.raises(ConfigurationError, match="is none of this segment's"):
             wire.pull_out("/dev/pts/no-such")
 
-
-def until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 20
-    while not condition():
-        assert time.monotonic() < deadline, "it did not happen"
-        time.sleep(0.005)

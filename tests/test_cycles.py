@@ -10,7 +10,8 @@ from itertools import pairwise
 
 import pytest
 from test_dp_master import Bus
-from test_master_pty import CONFIGURATION, IDENT, Echo, until
+from test_master_pty import CONFIGURATION, IDENT, Echo
+from waiting import until
 from wire import MS, S, lib
 
 from dpmaster import ConfigurationError, Cycle, DPTimeout, Master, Mode, NotOperatingError, PortError, Station

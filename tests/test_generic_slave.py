@@ -21,6 +21,7 @@ import pytest
 from gsd_files import NAMES
 from gsd_files import path as gsd_path
 from slave_rig import octets, telegram
+from waiting import until
 
 from dpmaster import ClosedError, ConfigurationError, DPTimeout, Master, Station, StationState
 from dpmaster.cli import main
@@ -301,12 +302,6 @@ def test_not_ready_until_it_says_so(wire: Segment) -> None:
         slave.ready = True
         until(lambda: one.state is StationState.DATA)
 
-
-def until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
 
 
 def test_a_new_address_is_the_cards_own_and_goes_with_it(wire: Segment) -> None:

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from test_dp_master import FREE, READY, SC, Bus, diagnosis, frame
-from test_master_pty import CONFIGURATION, IDENT, Echo, until
+from test_master_pty import CONFIGURATION, IDENT, Echo
+from waiting import until
 
 from dpmaster import Master, Station
 from dpmaster._core import block, ffi, lib

@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
+from waiting import until
 
 from dpmaster import (
     ConfigurationError,
@@ -88,13 +89,6 @@ class Drive(Station):
     def _before_operate(self) -> list[str]:
         return ["is set to hold its reference when the bus is lost"]
 
-
-def until(condition: Callable[[], object], timeout: float = 5.0) -> None:
-    """Poll; the caller's waits would feed the output watchdog."""
-    deadline = time.monotonic() + timeout
-    while not condition():
-        assert time.monotonic() < deadline, "it did not happen"
-        time.sleep(0.002)
 
 
 @pytest.fixture

@@ -11,7 +11,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from test_master_pty import CONFIGURATION, IDENT, SAFE, Echo, until
+from test_master_pty import CONFIGURATION, IDENT, SAFE, Echo
+from waiting import until
 
 from dpmaster import EventKind, Master, Mode, PortError, Station, StationState
 from dpmaster.emulator import Segment

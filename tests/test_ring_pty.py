@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import pytest
+from waiting import until
 
 from dpmaster import (
     BusParameters,
@@ -45,12 +46,6 @@ PARAMETERS = replace(BusParameters.for_ring(RATE, allowance=LATE), hsa=4, ttr=50
 # Real time where the system grants it: what is tested is the ring, and not how late a loaded machine's scheduler can be.
 OPTIONS = {"ring": True, "output_watchdog": None, "realtime": True}
 
-
-def until(condition, timeout: float = 10.0) -> None:
-    deadline = time.monotonic() + timeout
-    while not condition():
-        assert time.monotonic() < deadline, "it did not happen"
-        time.sleep(0.005)
 
 
 @pytest.fixture
@@ -247,7 +242,8 @@ def in_one_process() -> Outcome:
 
 PROGRAM = """
 import sys, time
-from test_ring_pty import OPTIONS, PARAMETERS, until
+from test_ring_pty import OPTIONS, PARAMETERS
+from waiting import until
 from dpmaster import Master
 from dpmaster.drives import YaskawaV7
 from dpmaster.emulator import PortPath

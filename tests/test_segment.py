@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from waiting import until
 
 from dpmaster import errors
 from dpmaster.emulator import Card, Exchange, Line, PortPath, Segment, SlaveState
@@ -102,12 +103,6 @@ class Echo(Card):
         self.resets += 1
 
 
-def wait_for(condition: Callable[[], object]) -> None:
-    deadline = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < deadline, "it did not happen"
-        time.sleep(0.001)
-
 
 # --- who hears what
 
@@ -169,7 +164,7 @@ def test_two_that_talk_at_once_garble_each_other(open_port: Callable[..., Client
     with Segment(9600, cards=0) as wire:
         a, b, c = (open_port(wire.port(), wire) for _ in range(3))
         a.write(b"\xf0" * 200)  # 229 ms: the other certainly begins meanwhile
-        wait_for(lambda: wire.info.transmissions)
+        until(lambda: wire.info.transmissions)
         b.write(b"\x0f" * 10)
         first = c.read(10)
         second = c.read(200)
@@ -196,7 +191,7 @@ def test_a_client_that_dies_leaves_the_port_to_the_next(open_port: Callable[...,
             client.close()
             _ = wire.info
             other.write(b"while nobody is there")
-            wait_for(lambda: wire.info.octets % 27 == 0)
+            until(lambda: wire.info.octets % 27 == 0)
         client = open_port(path, wire)
         assert not exclusive(client.fd)
         assert not termios.tcgetattr(client.fd)[3] & (termios.ECHO | termios.ICANON)
@@ -242,7 +237,7 @@ def test_cut_and_join(open_port: Callable[..., Client]) -> None:
         a.write(b"1")
         assert c.read(1) == b"1"
         b.write(b"lost")
-        wait_for(lambda: wire.info.undelivered == 4)
+        until(lambda: wire.info.undelivered == 4)
         wire.join(paths[1])
         b.write(b"3")
         assert a.read(1) == c.read(1) == b"3"
@@ -263,7 +258,7 @@ def test_the_same_seed_makes_the_same_faults(baudrate: int | None, open_port: Ca
             a, b = (open_port(wire.port(), wire) for _ in range(2))
             wire.faults(seed=seed, lose=0.05, flip=0.05, insert=0.05, duplicate=0.05)
             a.write(bytes(range(200)))
-            wait_for(lambda wire=wire: wire.info.octets)  # type: ignore[misc]
+            until(lambda wire=wire: wire.info.octets)  # type: ignore[misc]
             heard.append(b.read(wire.info.octets))
             assert wire.info.faults > 0
             wire.faults()
@@ -340,10 +335,10 @@ def test_a_card_sees_its_exchange_and_its_octets_go_back(open_port: Callable[...
         assert master.read(4)[0] == 0x68 and len(master.read(13)) == 13
         master.write(sd2("05 02 7D 0F F0"))
         assert len(master.read(11)) == 11
-        wait_for(lambda: card.steps[-1].outputs == b"\x0f\xf0")
+        until(lambda: card.steps[-1].outputs == b"\x0f\xf0")
         last = card.steps[-1]
         assert (last.state, last.configuration, last.master) == (SlaveState.DATA_EXCH, 1, 2)
-        wait_for(lambda: wire._slots[0].octets == b"\xf0\x0f")
+        until(lambda: wire._slots[0].octets == b"\xf0\x0f")
         master.write(sd2("05 02 5D 0F F0"))
         assert master.read(11)[7:9] == b"\xf0\x0f"
 
@@ -351,7 +346,7 @@ def test_a_card_sees_its_exchange_and_its_octets_go_back(open_port: Callable[...
 def test_an_idle_card_is_stepped_by_its_own_time() -> None:
     with Segment() as wire:
         card = wire.attach(Echo())
-        wait_for(lambda: len(card.steps) > 3)
+        until(lambda: len(card.steps) > 3)
 
 
 def test_reset_restarts_the_card(open_port: Callable[..., Client]) -> None:
@@ -360,14 +355,14 @@ def test_reset_restarts_the_card(open_port: Callable[..., Client]) -> None:
         start_up(open_port(wire.port(), wire))
         wire.reset(card)
         assert card.resets == 1 and wire.report(card).state is SlaveState.WAIT_PRM
-        wait_for(lambda: card.steps[-1].master is None)
+        until(lambda: card.steps[-1].master is None)
 
 
 def test_a_card_that_fails_is_unplugged_and_its_error_comes_out(caplog: pytest.LogCaptureFixture) -> None:
     wire = Segment()
     card, other = wire.attach(Echo(5)), wire.attach(Echo(6))
     card.fault = ZeroDivisionError("the firmware")
-    wait_for(lambda: wire.info.failures)
+    until(lambda: wire.info.failures)
     assert wire.report(card).state is SlaveState.OFF and wire.report(other).state is not SlaveState.OFF
     with pytest.raises(errors.DPError, match="the firmware"):
         wire.check()
@@ -582,7 +577,7 @@ def test_a_line_whose_port_vanishes_says_so() -> None:
         path = wire.port()
         line = Line(path, Echo(5), baudrate=500_000)
     with pytest.raises(errors.PortError, match=path):
-        wait_for(line.check)
+        until(line.check)
     line.close()
     with pytest.raises(errors.ClosedError):
         line.check()

@@ -17,7 +17,8 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-from test_master_pty import CONFIGURATION, IDENT, SAFE, Drive, Echo, until
+from test_master_pty import CONFIGURATION, IDENT, SAFE, Drive, Echo
+from waiting import until
 
 from dpmaster import (
     Answer,

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import os
 import select
-import time
-from collections.abc import Callable
 
 import pytest
 from slave_rig import CHK_CFG, SC, Initiator, Rig, SlaveConfig, octets, telegram
+from waiting import until
 
 from dpmaster._core import lib
 from dpmaster.emulator import Exchange, Segment, SlaveState
@@ -236,12 +235,6 @@ class Port:
         return found
 
 
-def wait_for(condition: Callable[[], object]) -> None:
-    deadline = time.monotonic() + 5.0
-    while not condition():
-        assert time.monotonic() < deadline, "it did not happen"
-        time.sleep(0.001)
-
 
 def test_set_slave_add_writes_the_node_address() -> None:
     """Set Slave Add supp 1: new address, ident number, No_Add_Chg to SAP 55. It is F6-30 from then on, and a new F6-30 is
@@ -251,7 +244,7 @@ def test_set_slave_add_writes_the_node_address() -> None:
         port = Port(wire)
         try:
             assert port.ask(telegram(5, 2, 0x6D, octets("0C 0A CF 00"), 55), 1) == SC
-            wait_for(lambda: card.address == 12)
+            until(lambda: card.address == 12)
             assert card.registers["F6-30"] == 12 and wire.report(card).address == 12
             card.registers["F6-30"] = 9
             assert card.address == 12
@@ -283,7 +276,7 @@ def test_the_host_tells_diagnosis_and_rate() -> None:
                 head = port.ask(telegram(5, 2, 0x4D, b"", 60), 4)
                 return (head + port.ask(b"", head[1] + 2))[9:-2]
 
-            wait_for(lambda: diagnosis()[6:] == octets("05 81 00 00 01"))
+            until(lambda: diagnosis()[6:] == octets("05 81 00 00 01"))
             assert card._exchange.baudrate == 187_500
         finally:
             os.close(port.fd)
