@@ -127,7 +127,8 @@ class Master(Services):
     ConfigurationError names the Tsl needed; all masters of a ring need the same bus parameters. False: alone.
 
     direction: who switches the transceiver: None: hat or adapter by itself, or the driver as the device tree has set it;
-    "rs485": the driver's RS-485 mode, RTS active while sending; "rs485-inverted": while not sending.
+    "rs485": the driver's RS-485 mode, RTS active while sending; "rs485-inverted": while not sending. With either, `echo` also
+    says whether the receiver is on while sending; None: as the driver has it.
 
     auto_clear: Error_Action_Flag: when an active station was not in data transfer for data_control_time s, the master goes from
     Operate to Clear, and operate() wants all of them. data_control_time: s, 0.01..655.35; Global_Control is repeated three

@@ -198,21 +198,30 @@ static int set_line(dpm_port *port)
     return port->info.parity || port->pty ? DPM_OK : DPM_E_SETTINGS;
 }
 
-/* Delays are whole milliseconds there, longer than a slot time: none. Some drivers take what they cannot do. */
+/* Only what is meant is set; a termination that the device tree has switched on stays. Delays are whole milliseconds,
+ * longer than a slot time: none. Whether the receiver is on while sending stays, too, unless it was said whether there is an
+ * echo: one that is expected and never comes is a deaf port, one that is not would be somebody's telegram. Some drivers
+ * take what they cannot do. */
 static int set_direction(dpm_port *port)
 {
-    const uint32_t mask = SER_RS485_ENABLED | SER_RS485_RTS_ON_SEND | SER_RS485_RTS_AFTER_SEND;
-    struct serial_rs485 now;
-    memset(&now, 0, sizeof now);
+    const uint32_t levels = SER_RS485_RTS_ON_SEND | SER_RS485_RTS_AFTER_SEND;
+    struct serial_rs485 mode;
+    memset(&mode, 0, sizeof mode);
+    const bool known = ioctl(port->fd, TIOCGRS485, &mode) == 0;
     if (port->config.direction == DPM_DIRECTION_AUTO) {
-        port->info.rs485 = ioctl(port->fd, TIOCGRS485, &now) == 0 && (now.flags & SER_RS485_ENABLED);
+        port->info.rs485 = known && (mode.flags & SER_RS485_ENABLED);
         return DPM_OK;
     }
-    uint32_t level = port->config.direction == DPM_DIRECTION_RS485 ? SER_RS485_RTS_ON_SEND : SER_RS485_RTS_AFTER_SEND;
-    now.flags = SER_RS485_ENABLED | level;
-    if (ioctl(port->fd, TIOCSRS485, &now) < 0 || ioctl(port->fd, TIOCGRS485, &now) < 0)
+    const uint32_t level = port->config.direction == DPM_DIRECTION_RS485 ? SER_RS485_RTS_ON_SEND : SER_RS485_RTS_AFTER_SEND;
+    mode.flags = (mode.flags & ~levels) | SER_RS485_ENABLED | level;
+    if (port->config.echo == DPM_ECHO_ON)
+        mode.flags |= SER_RS485_RX_DURING_TX;
+    if (port->config.echo == DPM_ECHO_OFF)
+        mode.flags &= ~(uint32_t)SER_RS485_RX_DURING_TX;
+    mode.delay_rts_before_send = mode.delay_rts_after_send = 0;
+    if (ioctl(port->fd, TIOCSRS485, &mode) < 0 || ioctl(port->fd, TIOCGRS485, &mode) < 0)
         return errno == EPERM || errno == EACCES ? DPM_E_PERMISSION : DPM_E_RS485;
-    port->info.rs485 = (now.flags & mask) == (SER_RS485_ENABLED | level);
+    port->info.rs485 = (mode.flags & (SER_RS485_ENABLED | levels)) == (SER_RS485_ENABLED | level);
     return port->info.rs485 ? DPM_OK : DPM_E_RS485;
 }
 

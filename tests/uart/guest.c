@@ -8,10 +8,12 @@
  */
 #include <errno.h>
 #include <fcntl.h>
+#include <linux/serial.h>
 #include <stdalign.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/ioctl.h>
 #include <sys/mount.h>
 #include <sys/reboot.h>
 #include <sys/stat.h>
@@ -43,13 +45,18 @@ static void *block(size_t size)
 
 /* ---- one port ---- */
 
-static int open_port(const char *path, uint32_t rate, int direction, dpm_port **port)
+static int open_echoing(const char *path, uint32_t rate, int direction, int echo, dpm_port **port)
 {
     dpm_parameters parameters;
     dpm_parameters_default(&parameters, rate, 0);
     dpm_port_config config = {.path = path, .rate_num = parameters.rate_num, .rate_den = parameters.rate_den,
-                              .direction = direction, .allowance = -1};
+                              .direction = direction, .echo = echo, .allowance = -1};
     return dpm_port_open(block(dpm_port_size()), dpm_port_size(), &config, port);
+}
+
+static int open_port(const char *path, uint32_t rate, int direction, dpm_port **port)
+{
+    return open_echoing(path, rate, direction, DPM_ECHO_AUTO, port);
 }
 
 static dpm_port_info info_of(const dpm_port *port)
@@ -86,6 +93,25 @@ static void try_modes(const char *path, uint32_t rate)
         printf("@%s.rs485.%d %d %d %s\n", subject, direction, code, code ? 0 : info_of(port).rs485, dpm_strerror(code));
         if (!code)
             dpm_port_close(port);
+    }
+}
+
+/* A mode of the device tree's, with delays and a receiver that is on while sending, and what the library leaves of it. */
+static void try_flags(const char *path, uint32_t rate)
+{
+    struct serial_rs485 mode = {.flags = SER_RS485_ENABLED | SER_RS485_RTS_AFTER_SEND | SER_RS485_RX_DURING_TX,
+                                .delay_rts_before_send = 3, .delay_rts_after_send = 5};
+    dpm_port *port;
+    if (open_port(path, rate, DPM_DIRECTION_AUTO, &port))
+        return;
+    int code = ioctl(dpm_port_fd(port), TIOCSRS485, &mode);
+    printf("@%s.mode %d %u %u %u\n", subject, code, mode.flags, mode.delay_rts_before_send, mode.delay_rts_after_send);
+    dpm_port_close(port);
+    for (int echo = DPM_ECHO_AUTO; !code && echo <= DPM_ECHO_ON; echo++) {
+        if (open_echoing(path, rate, DPM_DIRECTION_RS485, echo, &port) || ioctl(dpm_port_fd(port), TIOCGRS485, &mode) < 0)
+            continue;
+        printf("@%s.mode.%d %u %u %u\n", subject, echo, mode.flags, mode.delay_rts_before_send, mode.delay_rts_after_send);
+        dpm_port_close(port);
     }
 }
 
@@ -291,6 +317,7 @@ static void try_port(const char *name, const char *path, uint32_t rate, int dire
     subject = name;
     try_rates(path);
     try_modes(path, rate);
+    try_flags(path, rate);
     try_break(path, rate);
     try_end(path, rate);
     try_master(path, rate, direction, count);

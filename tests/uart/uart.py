@@ -201,6 +201,15 @@ def test_rs485_mode_is_taken_by_the_pl011_and_refused_for_the_16550(facts: dict[
         assert " ".join(words).startswith("the driver of this port has no RS-485 mode: leave the direction to a hat")
 
 
+def test_of_the_rs485_mode_only_what_is_meant_is_set(facts: dict[str, list[str]]) -> None:
+    """Protocol page N.2: ENABLED 1, RTS_ON_SEND 2, RTS_AFTER_SEND 4, RX_DURING_TX 16; delays in ms are "useless: leave 0"."""
+    assert facts["pl011.mode"] == ["0", "21", "3", "5"]
+    assert facts[f"pl011.mode.{lib.DPM_ECHO_AUTO}"] == ["19", "0", "0"]
+    assert facts[f"pl011.mode.{lib.DPM_ECHO_OFF}"] == ["3", "0", "0"]
+    assert facts[f"pl011.mode.{lib.DPM_ECHO_ON}"] == ["19", "0", "0"]
+    assert facts["16550.mode"][0] == "-1"
+
+
 def test_what_the_drivers_offer_is_used(facts: dict[str, list[str]]) -> None:
     """The end of a transmission and counters by both; the FIFO's trigger by the 8250 only, 1 at 19.2 kbit/s."""
     assert facts["pl011.driver"][:2] == facts["16550.driver"][:2] == ["1", "1"]
