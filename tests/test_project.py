@@ -12,9 +12,11 @@ import subprocess
 import sys
 import tarfile
 import tomllib
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
+from foreign import require
 
 import dpmaster
 from dpmaster._dpm import ffi, lib  # type: ignore[import-not-found, unused-ignore]
@@ -263,3 +265,14 @@ def test_make_alone_names_the_targets() -> None:
     assert done.returncode == 0, done.stderr
     targets = set(re.findall(r"^make (\w+)", done.stdout, flags=re.MULTILINE))
     assert targets == {"demo", "test", "cross", "lint", "soak", "bench", "fuzz", "sanitize", "dist", "clean"}
+
+
+@pytest.mark.parametrize("status", [0, 1])
+def test_a_cross_compiler_without_its_c_library_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, status: int) -> None:
+    """Debian only recommends libc6-dev-arm64-cross with gcc-aarch64-linux-gnu."""
+    compiler = tmp_path / "any-linux-gnu-gcc"
+    compiler.write_text(f"#!/bin/sh\nexit {status}\n")
+    compiler.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+    with pytest.raises(pytest.skip.Exception, match="not run: apt-get install any libc") if status else nullcontext():
+        require({compiler.name: "any libc"})

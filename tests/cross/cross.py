@@ -13,10 +13,10 @@ import shutil
 import subprocess
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 from zlib import crc32
 
 import pytest
+from foreign import apt, require, run
 
 from dpmaster._build import ffi
 
@@ -32,9 +32,6 @@ CORE_TESTS = ("test_telegram", "test_receiver", "test_parameters", "test_identif
               "test_dp_master", "test_slave", "test_slave_services", "test_simulation")
 PACKAGES = ("python3-minimal", "libpython3-stdlib", "python3-cffi-backend", "libpython3-dev", "python3-serial",
             "python3-pytest", "python3-hypothesis", "python3-pytest-timeout")
-CONF = """APT::Architecture "{1}"; APT::Architectures {{ "{1}"; }}; APT::Sandbox::User "root";
-Dir::State "{0}"; Dir::State::Lists "{0}/lists"; Dir::State::status "{0}/status"; Dir::Cache "{0}";
-"""
 # An emulated processor is ten times slower: random tests draw less, and no time is too long for one draw.
 PROFILE = """
 from hypothesis import HealthCheck, settings
@@ -53,19 +50,6 @@ class Target:
 
 TARGETS = (Target("arm64", "aarch64-linux-gnu-gcc", "qemu-aarch64-static", "gcc-aarch64-linux-gnu libc6-dev-arm64-cross"),
            Target("armhf", "arm-linux-gnueabihf-gcc", "qemu-arm-static", "gcc-arm-linux-gnueabihf libc6-dev-armhf-cross"))
-
-
-def run(*command: str | Path, timeout: float = 300, **settings: Any) -> str:
-    done = subprocess.run([str(word) for word in command], capture_output=True, text=True, timeout=timeout, **settings)
-    assert done.returncode == 0, f"{' '.join(map(str, command))}\n{done.stdout}{done.stderr}"
-    return done.stdout
-
-
-def require(programs: dict[str, str]) -> None:
-    """Skip, and say so, without these programs, each with its package."""
-    missing = [package for program, package in programs.items() if not shutil.which(program)]
-    if missing:
-        pytest.skip(f"not run: apt-get install {' '.join(missing)}")
 
 
 @pytest.fixture(params=TARGETS, ids=lambda target: target.debian)
@@ -103,18 +87,12 @@ def test_two_threads_never_see_half_of_a_write(target: Target, race: str, argume
 
 def fetch_python(target: Target, root: Path) -> None:
     """Debian's Python for the processor with what the tests need, unpacked into `root`."""
-    state = BUILD / target.debian / "apt"
-    for folder in ("lists/partial", "archives/partial"):
-        (state / folder).mkdir(parents=True, exist_ok=True)
-    (state / "status").touch()
-    (state / "apt.conf").write_text(CONF.format(state, target.debian))
-    settings = {"env": os.environ | {"APT_CONFIG": str(state / "apt.conf")}}
-    subprocess.run(["apt-get", "update", "--quiet"], capture_output=True, **settings)  # one list that fails is no matter
-    run("apt-get", "install", "--quiet", "--yes", "--download-only", "--no-install-recommends", *PACKAGES, **settings)
     new = root.with_suffix(".new")
-    for archive in sorted((state / "archives").glob("*.deb")):
-        run("dpkg-deb", "--extract", archive, new)
-    shutil.rmtree(state)
+    with apt(BUILD / target.debian / "apt", target.debian) as settings:
+        run("apt-get", "install", "--quiet", "--yes", "--download-only", "--no-install-recommends", *PACKAGES,
+            timeout=500, **settings)
+        for archive in sorted((BUILD / target.debian / "apt" / "archives").glob("*.deb")):
+            run("dpkg-deb", "--extract", archive, new)
     new.rename(root)
 
 
@@ -144,7 +122,7 @@ def test_the_core_s_tests_pass_in_python(target: Target) -> None:
     if not root.exists():
         try:
             fetch_python(target, root)
-        except (AssertionError, OSError) as error:
+        except (AssertionError, OSError, subprocess.TimeoutExpired) as error:
             pytest.skip(f"not run: no Python for {target.debian} to be had from apt: {error}")
     build_package(target, root, place)
     (python,) = (root / "usr/bin").glob("python3.*[0-9]")

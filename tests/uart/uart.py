@@ -9,8 +9,6 @@ their rate: that the rate of a real line is measured is shown here, not that the
 from __future__ import annotations
 
 import json
-import os
-import shutil
 import socket
 import subprocess
 import threading
@@ -18,9 +16,9 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
 import pytest
+from foreign import apt, require, run
 
 from dpmaster._core import lib
 from dpmaster.emulator import Segment
@@ -36,34 +34,17 @@ pytestmark = pytest.mark.timeout(600)  # s; the first time the kernel is fetched
 UARTS = {"pl011": 500_000, "16550": 19_200}  # with the rate of the master's bus
 RATES = (9600, 19200, 31250, 45450, 93750, 187500, 500000, 1500000, 3000000, 6000000, 12000000)
 
-CONF = """APT::Architecture "arm64"; APT::Architectures {{ "arm64"; }}; APT::Sandbox::User "root";
-Dir::State "{0}"; Dir::State::Lists "{0}/lists"; Dir::State::status "{0}/status"; Dir::Cache "{0}";
-"""
-
-
-def run(*command: str | Path, **settings: Any) -> str:
-    done = subprocess.run([str(word) for word in command], capture_output=True, text=True, **settings)
-    assert done.returncode == 0, f"{' '.join(map(str, command))}: {done.stderr}"
-    return str(done.stdout)
-
 
 def fetch_kernel() -> None:
-    """Debian's newest kernel of this release for arm64, by apt in a state directory of its own."""
-    state = BUILD / "apt"
-    for folder in ("lists/partial", "archives/partial"):
-        (state / folder).mkdir(parents=True, exist_ok=True)
-    (state / "status").touch()
-    (state / "apt.conf").write_text(CONF.format(state))
-    settings = {"env": os.environ | {"APT_CONFIG": str(state / "apt.conf")}, "cwd": BUILD}
-    subprocess.run(["apt-get", "update", "--quiet"], capture_output=True, **settings)  # one list that fails is no matter
-    fields = run("apt-cache", "show", "linux-image-arm64", **settings).splitlines()
-    package = next(line for line in fields if line.startswith("Depends:")).split()[1]
-    run("apt-get", "download", "--quiet", package, **settings)
+    """Debian's newest kernel of this release for arm64."""
+    with apt(BUILD / "apt", "arm64") as settings:
+        fields = run("apt-cache", "show", "linux-image-arm64", **settings).splitlines()
+        package = next(line for line in fields if line.startswith("Depends:")).split()[1]
+        run("apt-get", "download", "--quiet", package, cwd=BUILD, timeout=500, **settings)
     (archive,) = BUILD.glob(f"{package}_*.deb")
     unpack = f"dpkg-deb --fsys-tarfile {archive.name} | tar -x --to-stdout --wildcards './boot/vmlinuz-*'"
     run("sh", "-c", f"{unpack} > new", cwd=BUILD)
     archive.unlink()
-    shutil.rmtree(state)
     (BUILD / "new").rename(KERNEL)
 
 
@@ -131,25 +112,22 @@ class Guest:
         self.process.communicate()
 
 
-def require() -> None:
-    """Skip, and say so, where the machine cannot run the guest."""
-    packages = {QEMU: "qemu-system-arm", COMPILER: "gcc-aarch64-linux-gnu libc6-dev-arm64-cross"}
-    missing = [package for program, package in packages.items() if not shutil.which(program)]
-    if missing:
-        pytest.skip(f"the guest was not run: apt-get install {' '.join(missing)}")
+def prepare() -> None:
+    """Build the guest, or skip, and say so, where the machine cannot run it."""
+    require({QEMU: "qemu-system-arm", COMPILER: "gcc-aarch64-linux-gnu libc6-dev-arm64-cross"})
     BUILD.mkdir(parents=True, exist_ok=True)
     if not KERNEL.exists():
         try:
             fetch_kernel()
-        except (AssertionError, OSError, StopIteration, ValueError) as error:
-            pytest.skip(f"the guest was not run: no arm64 kernel to be had from apt: {error}")
+        except (AssertionError, OSError, StopIteration, ValueError, subprocess.TimeoutExpired) as error:
+            pytest.skip(f"not run: no arm64 kernel to be had from apt: {error}")
+    build_guest()
 
 
 @pytest.fixture(scope="module")
 def facts(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, list[str]]]:
     """What the guest found, and under "motor.NAME" what the motor here did meanwhile."""
-    require()
-    build_guest()
+    prepare()
     found: dict[str, list[str]] = {}
     with ExitStack() as stack:
         # QEMU's UARTs send at once. Segments that pace make a real line of it, on which no answer overtakes its request.
