@@ -135,8 +135,8 @@ def _whom(master: Master, said: Callable[[str], None]) -> int:
     found = master.live_list()
     slave = next((address for address, entry in found.items() if entry.kind == Live.SLAVE), None)
     if slave is None:
-        raise DPError("neither an echo nor a slave: connect one that is powered, or join TX and RX of the port (A to A, B to B "
-                      "of two adapters is no loop)")
+        raise DPError("neither an echo nor a slave: connect one that is powered, or name one that answers late (--station N), "
+                      "which is waited for longer; or join TX and RX of the port (A to A, B to B of two adapters is no loop)")
     said(f"asking station {slave}")
     return slave
 

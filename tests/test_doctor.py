@@ -262,7 +262,7 @@ def test_calibrate_does_not_disturb_another_master(wire: Segment) -> None:
 
 def test_calibrate_on_an_empty_bus_says_what_it_needs(wire: Segment, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(calibration, "SEARCH", 0.04)  # 1 ms for each of 126 addresses
-    with pytest.raises(DPError, match="neither an echo nor a slave: connect one that is powered"):
+    with pytest.raises(DPError, match=r"neither an echo nor a slave: connect one that is powered, or name one .*--station N"):
         calibrate(wire.port(), RATE)
 
 
