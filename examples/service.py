@@ -12,7 +12,7 @@ import socket
 import sys
 import time
 
-from dpmaster import Master
+from dpmaster import DPError, Master
 from dpmaster.drives import YaskawaV7
 
 ALIVE = 0.5  # s between two signs of life: a quarter of WatchdogSec
@@ -29,21 +29,23 @@ def notify(state: str) -> None:
 def main(port: str, baudrate: int = 500_000, address: int = 5) -> None:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     with Master(port, baudrate, cycle_time=0.01) as master:
-        drive = master.add(YaskawaV7(address))
-        master.operate(timeout=30.0)
-        notify("READY=1\nSTATUS=in Data_Exchange")
         try:
+            drive = master.add(YaskawaV7(address))
+            master.operate(timeout=30.0)
+            notify("READY=1\nSTATUS=in Data_Exchange")
             drive.run_forward(20.00)
             told = 0.0
             for _ in master.cycles():
                 if time.monotonic() - told > ALIVE:
                     told = time.monotonic()
-                    # A port that vanished, or a drive that is lost, is waited for: both come back by themselves.
+                    # A drive that was lost comes back by itself, at rest: whether it may run again is the plant's to say.
                     notify(f"WATCHDOG=1\nSTATUS={drive.state.name}, {drive.status.output_frequency or 0:.1f} Hz")
-        except KeyboardInterrupt:
+        except KeyboardInterrupt:  # leaving the block stops the drive
             notify("STOPPING=1")
-            drive.stop()
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], *map(int, sys.argv[2:]))
+    try:
+        main(sys.argv[1], *map(int, sys.argv[2:]))
+    except DPError as error:  # no drive in time, or the port vanished: systemd starts it anew
+        sys.exit(f"service.py: {error}")
