@@ -65,7 +65,7 @@ def examine(path: str, baudrate: int | None = None, listen: float = 1.0) -> Diag
     if port.permitted:
         try:
             rates = port.rates()
-            remarks += [*_rates(port, rates, baudrate), *_direction(port), *_delivery(port)]
+            remarks += [*_rates(port, rates, baudrate), *_direction(port), *_delivery(port), *_echo(port)]
             if baudrate is not None:
                 remarks += [*_heard(port, baudrate, listen), *_cable(baudrate)]
         except PortError as error:
@@ -147,6 +147,11 @@ def _delivery(port: Port) -> Iterator[Remark]:
     if trigger.isdecimal() and int(trigger) > 1:
         yield Remark(Level.NOTE, "FIFO", f"{trigger} octets wait in the receive FIFO, or four characters' silence",
                      f"echo 1 | sudo tee {port.sys}/rx_trig_bytes; a master of root does so at rates up to 187.5 kbit/s")
+
+
+def _echo(port: Port) -> Iterator[Remark]:
+    yield Remark(Level.NOTE, "echo", "whether the port hears itself, and how late, only a telegram of one's own can tell",
+                 f"dpmaster calibrate {port.path}, on a bus that no other master has")
 
 
 def _heard(port: Port, baudrate: int, seconds: float) -> Iterator[Remark]:

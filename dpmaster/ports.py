@@ -29,10 +29,13 @@ from dpmaster.parameters import BAUDRATES, BusParameters
 __all__ = ["Port", "Rate", "ports"]
 
 PTYS, USB = range(136, 144), (166, 188)  # major numbers: Documentation/admin-guide/devices.txt
+TTYS = Path("/sys/class/tty")
 LEVELS = ("device", "device/..", "device/../..")  # since Linux 6.5 two devices of the serial core lie in between
 SERIAL_CORE = ("port", "ctrl")
 TCGETS2, TCSETS2, TIOCGRS485, TIOCSRS485 = 0x802C542A, 0x402C542B, 0x542E, 0x542F
 RS485_ENABLED = 1
+# What the serial core calls a UART that it has found, by the number in its file "type": include/uapi/linux/serial.h.
+CHIPS = {"1": "8250", "2": "16450", "3": "16550", "4": "16550A", "6": "16650", "7": "16650V2", "8": "16750", "10": "16950"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +88,7 @@ class Port:
     @property
     def console(self) -> bool:
         """The kernel writes its messages there, or a login waits on it."""
-        return Path(self.path).resolve().name in _words("/sys/class/tty/console/active")
+        return Path(self.path).resolve().name in _words(TTYS / "console/active")
 
     @property
     def permitted(self) -> bool:
@@ -170,12 +173,15 @@ def _driver(sys: Path) -> str:
 
 
 def _description(path: str) -> str:
-    """What an adapter says of itself, or the device tree of a UART."""
+    """What an adapter says of itself, the device tree of a UART, or its driver."""
     device = str(Path(path).resolve())
     entry = next((entry for entry in list_ports.comports() if entry.device == device), None)
     if entry is None or entry.vid is None:
-        node = Path(f"/sys/class/tty/{Path(device).name}/device/of_node/compatible")
-        return node.read_bytes().split(b"\0")[0].decode() if node.exists() else ""
+        sys = TTYS / Path(device).name
+        for node in (sys / level / "of_node/compatible" for level in LEVELS):
+            if node.exists():
+                return node.read_bytes().split(b"\0")[0].decode()
+        return CHIPS.get("".join(_words(sys / "type")), "")
     words = (entry.manufacturer, entry.product, entry.serial_number)
     return f"{' '.join(word for word in words if word)} ({entry.vid:04x}:{entry.pid:04x})"
 
@@ -187,8 +193,8 @@ def _links(path: str) -> tuple[str, ...]:
                         if link.is_symlink() and link.resolve() == device and not link.name.startswith("std")))
 
 
-def _words(path: str) -> list[str]:
+def _words(path: Path) -> list[str]:
     try:
-        return Path(path).read_text().split()
+        return path.read_text().split()
     except OSError:
         return []

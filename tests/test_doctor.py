@@ -23,7 +23,7 @@ from dpmaster.calibration import Calibration, calibrate
 from dpmaster.doctor import Level, examine
 from dpmaster.emulator import Line, Segment
 from dpmaster.emulator.cards import SIP1
-from dpmaster.ports import Port, Rate, ports
+from dpmaster.ports import Port, Rate, _description, ports
 from dpmaster.timing import plan, profile_allowance
 
 RATE = 500_000
@@ -56,6 +56,20 @@ def test_ports_are_listed_as_a_person_and_as_a_program_reads_them(capsys: pytest
     assert found or shown == "no serial ports; 'dpmaster segment' makes virtual ones\n"
     assert cli.main(["ports", "--json"]) == 0
     assert [entry["path"] for entry in json.loads(capsys.readouterr().out)["ports"]] == [port.path for port in found]
+
+
+@pytest.mark.parametrize(("node", "kind", "words"), [
+    (None, "4", "16550A"), (None, "0", ""), ("arm,pl011\0arm,primecell\0", "32", "arm,pl011")])
+def test_a_uart_is_called_what_device_tree_or_driver_call_it(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch, node: str | None, kind: str, words: str) -> None:
+    """include/uapi/linux/serial.h: PORT_16550A 4, PORT_UNKNOWN 0."""
+    monkeypatch.setattr("dpmaster.ports.TTYS", tmp_path)
+    tree = tmp_path / "ttyX7" / "device" / "of_node"
+    tree.mkdir(parents=True)
+    (tmp_path / "ttyX7" / "type").write_text(f"{kind}\n")
+    if node is not None:
+        (tree / "compatible").write_text(node)
+    assert _description("/dev/ttyX7") == words
 
 
 @pytest.fixture
@@ -171,7 +185,8 @@ def test_a_port_in_use_is_a_remark_with_its_remedy(wire: Segment, capsys: pytest
 def test_doctor_as_json(wire: Segment, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["doctor", wire.port(), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert found["kind"] == "pty" and found["works"] and {"kernel", "priority"} <= {r["subject"] for r in found["remarks"]}
+    assert found["kind"] == "pty" and found["works"]
+    assert {"kernel", "priority", "echo"} <= {r["subject"] for r in found["remarks"]}
     assert cli.main(["doctor", "/dev/no-such-port"]) == 1
 
 
