@@ -343,6 +343,21 @@ def test_units_are_read_anew_only_where_a_write_may_have_changed_them(configurat
     assert drive.highest_frequency == 60.0 == drive.card.registers.setting("E1-04") / 10
     drive["C1-01"] = 3.0  # one follows here
     assert drive.highest_frequency == 50.0 == drive.card.registers.setting("E1-04") / 10
+
+
+@pytest.mark.parametrize(("configuration", "enter"), [
+    *((name, lambda drive: drive.enter()) for name in CHANNELS),
+    *((name, lambda drive, at=at: drive.write_register(at, 0)) for name in MEMOBUS for at in ("0910h", "0900h")),
+    *(("PPO Type 2", lambda drive, pnu=pnu: drive.write_pnu(pnu, 0)) for pnu in (300, 301)),
+    ("PPO Type 2", lambda drive: drive.write_pnu(971, 1))])
+def test_every_form_of_the_enter_command_forgets_units(configuration: str, enter: Callable[[Any], None]) -> None:
+    """SI-P3 manual, chapter 8: PNU 300, 301 and 971; registers 0910h and 0900h."""
+    drive = bench(configuration)
+    assert drive.highest_frequency == 60.0
+    drive.write_register("E1-04", 500)
+    assert drive.highest_frequency == 60.0, "written, and not in force before Enter"
+    enter(drive)
+    assert drive.highest_frequency == 50.0 == drive.card.registers.setting("E1-04") / 10
     drive.write_register("E1-04", 400)
     assert drive.highest_frequency == 50.0
     drive["C1-01"] = 3.0

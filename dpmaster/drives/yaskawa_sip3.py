@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Iterator, Mapping, MutableMapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Literal, NamedTuple
@@ -32,6 +33,8 @@ log = logging.getLogger(__name__)
 
 _FACTS = ("b1-01", "b1-02", "E1-04", "E2-04", "H5-12", "o1-03")
 _SCALING = {name.casefold() for name in (*_FACTS, "A1-03")}  # A1-03 initialises all of them
+_ENTER = {profile.parameter_name(pnu, 0) for pnu in (profile.PNU_ENTER_RAM, profile.PNU_ENTER_ROM, profile.PNU_STORE)} | {
+    profile.YASKAWA_1000.register_name(register) for register in (profile.ENTER_RAM, profile.ENTER_ROM)}
 _RUNS_ON: Mapping[str, tuple[int, str]] = MappingProxyType({
     "F6-01": (3, "alarm only: it runs on when the bus is lost; 0, 1 or 2 stop it"),
     "F6-31": (1, "in Clear it holds its last command; 0 stops it")})
@@ -497,14 +500,22 @@ class YaskawaSIP3(Drive[SIP3Status]):
         self._enter(store, timeout)
 
     def _enter(self, store: bool, timeout: float) -> None:
-        """What units depend on is forgotten with the Enter command that puts something else into force."""
-        rescaled = self._rescaled
+        if isinstance(self._need_channel("enter"), PKWChannel):
+            self.write_pnu(profile.PNU_ENTER_ROM if store else profile.PNU_ENTER_RAM, 0, timeout=timeout)
+        else:
+            self.write_register(profile.ENTER_ROM if store else profile.ENTER_RAM, 0, timeout=timeout)
+
+    @contextmanager
+    def _writing(self, names: Iterable[str]) -> Iterator[None]:
+        """Write these. What units depend on is forgotten with the Enter command that puts something else into force, whoever
+        gives it in whatever form."""
+        written = set(names)
+        self._rescaled = self._rescaled or not _SCALING.isdisjoint(name.casefold() for name in written)
+        entered = not _ENTER.isdisjoint(written)
+        rescaled = self._rescaled and entered
         try:
-            if isinstance(self._need_channel("enter"), PKWChannel):
-                self._task(pkw.Task.CHANGE, profile.PNU_ENTER_ROM if store else profile.PNU_ENTER_RAM, 0, 0, timeout)
-            else:
-                self.write_register(profile.ENTER_ROM if store else profile.ENTER_RAM, 0, timeout=timeout)
-            self._rescaled = False
+            yield
+            self._rescaled = self._rescaled and not entered
         except ParameterAccessError:
             rescaled = False  # refused: what was written waits for the next one
             raise
@@ -561,9 +572,8 @@ class YaskawaSIP3(Drive[SIP3Status]):
             raise ConfigurationError(f"parameter numbers: {self.layout} has MEMOBUS registers in their place; PPO 1, 2 and 5 "
                                      "have them")
         name = profile.parameter_name(pnu, index) if pnu else self.table.register_name(index)
-        if task in pkw.CHANGES:
-            self._note([name])
-        return channel.ask(pkw.Message(task, pnu, index, value), name, timeout).value
+        with self._writing([name] if task in pkw.CHANGES else ()):
+            return channel.ask(pkw.Message(task, pnu, index, value), name, timeout).value
 
     # Registers
 
@@ -595,13 +605,9 @@ class YaskawaSIP3(Drive[SIP3Status]):
                 part = 1
             else:
                 part = min(channel.words, len(words))
-                self._note(self.table.register_name(first + n) for n in range(part))
-                channel.access(Function.WRITE, first, 2 * part, words[:part], timeout)
+                with self._writing(self.table.register_name(first + n) for n in range(part)):
+                    channel.access(Function.WRITE, first, 2 * part, words[:part], timeout)
             words, first = words[part:], first + part
-
-    def _note(self, names: Iterable[str]) -> None:
-        """These are written from here on; what is said of them counts with the next Enter command."""
-        self._rescaled = self._rescaled or not _SCALING.isdisjoint(name.casefold() for name in names)
 
     def loop_back(self, words: Sequence[int], *, timeout: float = _ANSWERED) -> tuple[int, ...]:
         """MEMOBUS 08h: the drive sends the words back (Extended Data 1: up to 4, Extended Data 2: 1)."""
