@@ -132,6 +132,27 @@ def test_a_reader_that_leaves_is_no_traceback() -> None:
     process.stderr.close()
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_before_the_command_begins_is_no_traceback(number: signal.Signals) -> None:
+    program = (
+        "import signal, sys, types; from dpmaster import cli;"
+        "module = types.ModuleType('dpmaster.cli.attempt');"
+        f"arguments = lambda parser: signal.raise_signal({number:d});"
+        "module.__dict__.update(NAME='try', HELP='try it', add_arguments=arguments, run=lambda args: 0);"
+        "sys.modules[module.__name__] = module; cli.COMMANDS = ('attempt',);"
+        "sys.exit(cli.main(['try']))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=30)
+    assert (done.returncode, done.stdout, done.stderr) == (-number, "", "")
+
+
+def test_a_command_does_not_wait_for_the_import_of_the_others() -> None:
+    program = ("import sys; from dpmaster import cli; assert cli.main(['decode', 'E5']) == 0;"
+               "print(sorted(name for name in sys.modules if name.startswith('dpmaster.cli.') and '._' not in name))")
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=30)
+    assert (done.returncode, done.stdout.splitlines()[-1]) == (0, "['dpmaster.cli.decode']"), done.stderr
+
+
 def test_python_dash_m_is_the_same_program() -> None:
     done = subprocess.run([sys.executable, "-m", "dpmaster", "--help"], capture_output=True, text=True, timeout=30)
     assert (done.returncode, done.stderr) == (0, "")

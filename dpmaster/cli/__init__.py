@@ -35,14 +35,15 @@ class Terminated(KeyboardInterrupt):
     """SIGTERM came: leave as after Ctrl-C, through stop word and Clear. A command that ends well by it catches it."""
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
+    """Of the command that is named, or of all: on a small computer importing the others takes longer than most work."""
     parser = argparse.ArgumentParser(
         prog="dpmaster",
         description="A PROFIBUS-DP master, emulated drives to run it against, and instruments for the bus.",
         epilog="Exit codes: 0 done, 1 failed, 2 wrong arguments, 130 Ctrl-C, 143 SIGTERM.",
     )
     subparsers = parser.add_subparsers(metavar="COMMAND", required=True)
-    for name in COMMANDS:
+    for name in [name for name in COMMANDS if argv[:1] == [name.replace("_", "-")]] or COMMANDS:
         command = importlib.import_module(f"dpmaster.cli.{name}")
         subparser = subparsers.add_parser(command.NAME, help=command.HELP, description=command.HELP)
         subparser.set_defaults(run=command.run, command=command.NAME)
@@ -58,11 +59,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code; wrong arguments leave by SystemExit(2), as argparse does it."""
     if isinstance(sys.stdout, io.TextIOWrapper):  # a maker's text may have characters that the terminal does not
         sys.stdout.reconfigure(errors="backslashreplace")
-    args = _parser().parse_args(argv)
-    # SIGINT too: a shell script starts what it puts behind `&` with it ignored, and "until SIGINT" would be never.
-    handlers = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: _terminate}
-    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+    # While a command is imported nothing is open, and a signal may end the program as it is, without a traceback.
+    before = {number: signal.signal(number, signal.SIG_DFL) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
+        args = _parser(sys.argv[1:] if argv is None else argv).parse_args(argv)
+        # SIGINT too: a shell script starts what it puts behind `&` with it ignored, and "until SIGINT" would be never.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGTERM, _terminate)
         code: int = args.run(args)
         sys.stdout.flush()
         return code
