@@ -458,6 +458,30 @@ def test_run_goes_on_without_a_station(write: Callable[..., Path], capsys: pytes
         assert cli.main(["run", str(write()), "--port", nobody.port(), "--seconds", "0.1"]) == 1
 
 
+def test_run_shows_who_is_awaited(write: Callable[..., Path], capsys: pytest.CaptureFixture[str],
+                                  monkeypatch: pytest.MonkeyPatch) -> None:
+    """While it waits: the reader that has seen it leaves, and the rest comes from who waited."""
+    class Reader(io.StringIO):
+        def write(self, text: str) -> int:
+            if re.search(r", Clear: (.*\n)* +5  Pump +exchange\n(.*\n)* +7  Valves +OFFLINE: does not answer", text):
+                seen.append(text)
+                wire.attach(GenericSlave(7, 0x4321, [bytes.fromhex("20 51")], user_parameters=(0, 237), fail_safe=True,
+                                         freeze=True))
+                wire.attach(GenericSlave(9, 0x1234, [bytes.fromhex("13 23")], user_parameters=(0, 237)))
+                raise BrokenPipeError
+            return len(text)
+
+    seen: list[str] = []
+    monkeypatch.setattr("dpmaster.cli.run.LINE", 0.05)
+    monkeypatch.setattr("dpmaster.cli.run.START", 60.0)
+    with Segment() as wire:
+        wire.attach(SIP1(5))
+        with monkeypatch.context() as patch:
+            patch.setattr(sys, "stdout", Reader())
+            assert cli.main(["run", str(write()), "--port", wire.port(), "--seconds", "0.1"]) == 0
+    assert len(seen) == 1 and "Traceback" not in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(("value", "words"), [
     ("Valves.Drain", "write STATION.SIGNAL=VALUE"), ("Tanks.Drain=on", "the stations are Pump, Valves, station 9"),
     ("Valves.Drain=2", "Drain takes on or off"), ("Valves.Tank=2", "is an input"), ("7.Drein=on", "no signal 'Drein'")])

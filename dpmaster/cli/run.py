@@ -14,10 +14,11 @@ import math
 import shutil
 import sys
 import textwrap
+import threading
 import time
 from collections import deque
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import chain
 from typing import Any, TextIO
 
@@ -25,7 +26,7 @@ from dpmaster import Diagnosis, EventKind, Events, Master, Station, StationState
 from dpmaster.busfile import BusFile
 from dpmaster.cli._terminal import printable
 from dpmaster.diagnosis import Diag
-from dpmaster.errors import ConfigurationError, DPTimeout, NotOperatingError, StationError
+from dpmaster.errors import ConfigurationError, DPError, DPTimeout, NotOperatingError, StationError
 from dpmaster.signals import Value
 
 NAME = "run"
@@ -175,6 +176,7 @@ class View(logging.Handler):
         self.stream = stream
         self.json = as_json
         self.moving = stream.isatty() and not as_json
+        self.pace = REDRAW if self.moving else LINE
         self.height = 0
         self.size = shutil.get_terminal_size()
         self.told: Any = None
@@ -226,12 +228,32 @@ def logged(view: View) -> Iterator[None]:
             print(line, file=sys.stderr)
 
 
+@contextmanager
+def watched(view: View, master: Master) -> Iterator[None]:
+    """Pictures while this thread waits: who is awaited, and why."""
+    over = threading.Event()
+
+    def look() -> None:
+        with suppress(DPError, OSError):  # of a bus or a reader that is gone the waiting thread tells
+            while not over.wait(view.pace):
+                view.show(master)
+
+    thread = threading.Thread(target=look, name="dpmaster-view", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+
+
 # ---- the run
 
 
 def start(master: Master, view: View) -> None:
     try:
-        master.operate(START)
+        with watched(view, master):
+            master.operate(START)
     except (DPTimeout, StationError) as error:
         if master.auto_clear or not any(station.state == StationState.DATA for station in master.stations):
             raise
@@ -249,9 +271,7 @@ def returns(events: Events, master: Master) -> Iterator[str]:
 
 
 def exchange(master: Master, args: argparse.Namespace, wanted: list[tuple[Station, dict[str, Value]]], view: View) -> None:
-    pace = REDRAW if view.moving else LINE
-    if master.output_watchdog is not None:
-        pace = min(pace, master.output_watchdog / 3)
+    pace = view.pace if master.output_watchdog is None else min(view.pace, master.output_watchdog / 3)
     start(master, view)
     events = master.events()
     end = time.monotonic() + (args.seconds if args.seconds is not None else math.inf)
