@@ -332,9 +332,8 @@ class Station:
 
         Octets not named keep what the last commit gave them, and so do bits set in `keep`, a mask as long as `octets` (none:
         all bits change): what is kept is that of the epoch the commit is made in, so never an order from before a loss. Any
-        thread may call. It feeds the output watchdog and makes the
-        calling thread the one whose waits do so. Raises ConfigurationError outside the image, NotOperatingError when the
-        output watchdog has latched outputs safe, ClosedError.
+        thread may call. It feeds the output watchdog and makes the calling thread the one whose waits do so. Raises
+        ConfigurationError outside the image, NotOperatingError when the output watchdog has latched outputs safe, ClosedError.
         """
         master = self._owner()
         data = _arguments.octets(f"{self.name}: outputs", octets, 0, lib.DPM_IO_MAX)
@@ -429,7 +428,7 @@ class Station:
     def deactivate(self, timeout: float = 1.0) -> None:
         """Take it out of the cycle, where it stays listed, for services by hand: stop word, safe outputs, Unlock.
 
-        The others' exchange goes on. Raises DPTimeout when that took more than `timeout` s, ClosedError.
+        The others' exchange goes on. Raises DPTimeout when that took more than `timeout` s and a cycle time, ClosedError.
         """
         master = self._owner()
         master._rest(self)
@@ -437,8 +436,9 @@ class Station:
         if self._index is None:
             return
         master._bus.activate(self._index, False)
-        if master._bus.wait(lambda: True if self.state == StationState.INACTIVE else None, timeout) is None:
-            raise DPTimeout(f"{self.name} was not released in {timeout} s; {self._standing(master)}")
+        within = timeout + (master.cycle_time or 0)  # its turn to be released comes with the next cycle
+        if master._bus.wait(lambda: True if self.state == StationState.INACTIVE else None, within) is None:
+            raise DPTimeout(f"{self.name} was not released in {within:g} s; {self._standing(master)}")
         master._settle_watchdogs()
 
     def reparameterise(self, user_parameters: bytes | None = None, timeout: float = 5.0) -> None:

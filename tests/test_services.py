@@ -351,6 +351,15 @@ def test_a_station_is_deactivated_and_activated(wire: Segment, master: Master, c
     assert other.state == StationState.DATA
 
 
+def test_the_time_to_be_released_in_counts_from_the_next_cycle(wire: Segment, cards: list[Echo]) -> None:
+    with Master(wire.port(), cycle_time=0.5) as master:
+        station = master.add(Station(6, IDENT, CONFIGURATION, watchdog=5.0))
+        master.clear()
+        until(lambda: station.state not in (StationState.OFFLINE, StationState.INACTIVE))  # a cycle has just begun
+        station.deactivate(timeout=0.1)
+        assert station.state == StationState.INACTIVE
+
+
 def test_a_station_is_removed_and_another_takes_its_place(wire: Segment, cards: list[Echo]) -> None:
     with Master(wire.port(), max_stations=2) as master:
         drive, other = master.add(Drive(5)), master.add(Station(6, IDENT, CONFIGURATION))
