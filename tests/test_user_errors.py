@@ -336,6 +336,13 @@ def test_too_early(master: Master) -> None:
         master.operate(timeout=0.1)
 
 
+def test_a_drive_that_is_not_heard_is_not_said_to_be_set_wrongly(master: Master) -> None:
+    drive = master.add(YaskawaV7(5, "Basic data", name="fan"))
+    refused(DPTimeout, "fan|the master has not begun: operate() first", drive.run, 10.0)
+    master.clear()
+    refused(DPTimeout, "fan|the station does not answer: is it powered", drive.run, 10.0)
+
+
 def test_two_objects_on_one_wire_that_are_both_masters(wire: Segment, drive: YaskawaV7) -> None:
     """Their Tsl has no room for a ring: the one that hears a foreign token gives way, and says so."""
     with Master(wire.port(), address=2) as second:

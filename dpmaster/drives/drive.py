@@ -379,6 +379,8 @@ class Drive(Station, ABC, Generic[S]):
             self.wait_until(heard, HEAR)
         except DPTimeout as late:
             self.stop()
+            if not self.status.valid:
+                raise  # it is not heard, which says nothing of its parameters
             if self.status.fault:
                 raise StationError(f"{self.name}: does not run, it shows a fault ({self.status}); fault_reset() first",
                                    address=self.address, reason="fault") from late
