@@ -545,12 +545,24 @@ _STEPS: dict[int, str] = {
     StationState.DIAG2: "Slave_Diag after Chk_Cfg", StationState.DATA: "Data_Exchange",
     StationState.LEAVING: "Set_Prm with Unlock",
 }
-_RESULTS = {1: "UE, user error", 2: "RR, no resources", 3: "RS, service not activated"}
+_RESULTS = {
+    0x0: "OK", 0x1: "UE, user error", 0x2: "RR, no resources", 0x3: "RS, service not activated", 0x8: "DL, data",
+    0x9: "NR, no data", 0xA: "DH, data, and diagnosis is waiting", 0xC: "RDL, data, but the request's were not taken",
+    0xD: "RDH, data of high priority, but the request's were not taken",
+}
+
+
+def result(fc: int) -> str:
+    """What the frame control of an answer says became of the request: "RS, service not activated"."""
+    return _RESULTS.get(fc & 0x0F, f"FC {fc:02X}h")
+
+
+NO_ANSWER = "does not answer: is it powered, its address and the line right?"
 
 
 def _lost_in(state: int) -> str:
     step = _STEPS.get(state)
-    return f"no longer answers (lost in {step})" if step else "does not answer: is it powered, its address and the line right?"
+    return f"no longer answers (lost in {step})" if step else NO_ANSWER
 
 
 def _ident(expected: int, found: int | None) -> str:
@@ -590,7 +602,7 @@ def why(reason: int, detail: int, *, ident_number: int, configuration: bytes = b
         case Reason.NO_ANSWER:
             return _lost_in(detail)
         case Reason.SERVICE:
-            return f"refuses a request: {_RESULTS.get(detail & 0x0F, f'FC {detail:02X}h')}"
+            return f"refuses a request: {result(detail)}"
         case Reason.INVALID_ANSWER:
             return f"gave an answer that fits no request ({detail} octets): its configuration is not the one given"
         case Reason.IDENT:

@@ -69,8 +69,8 @@ def measure(port: str | None = None, baudrate: int = 500_000, *, cycle_time: flo
     with ExitStack() as stack:
         if port is None:
             wire = stack.enter_context(Segment(nominal=baudrate, ports=1, cards=1, realtime=realtime))
-            wire.attach(SIP1(address=5))
-            station = Station(5, 0x00CA, b"\x72")
+            card = wire.attach(SIP1(address=5))
+            station = Station(card.address, card.ident_number, card.configurations[0])
         where = port if port is not None else wire.port()
         master = stack.enter_context(Master(where, baudrate, cycle_time=cycle_time, realtime=realtime))
         if station is not None:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from dpmaster import _arguments
 from dpmaster._core import NS, ffi, lib, now
 from dpmaster.bus import Bus, Mode
-from dpmaster.diagnosis import Diagnosis
+from dpmaster.diagnosis import NO_ANSWER, Diagnosis, result
 from dpmaster.errors import ConfigurationError, DPTimeout, NotOperatingError, StationError
 
 if TYPE_CHECKING:
@@ -46,13 +46,6 @@ class Service(IntEnum):
     LSAP_STATUS = 0x0F
 
 
-_RESULTS = {
-    0x0: "OK", 0x1: "UE: user error", 0x2: "RR: no resources", 0x3: "RS: service not activated", 0x8: "DL: data",
-    0x9: "NR: no data", 0xA: "DH: data, and diagnosis is waiting", 0xC: "RDL: data, but the request's were not taken",
-    0xD: "RDH: data of high priority, but the request's were not taken",
-}
-
-
 @dataclass(frozen=True, slots=True)
 class Answer:
     """What came back for a request by hand.
@@ -74,10 +67,10 @@ class Answer:
 
     @property
     def meaning(self) -> str:
-        """The result in words: "RS: service not activated"."""
+        """The result in words: "RS, service not activated"."""
         if self.fc is None:
             return "acknowledged" if self.tries else "sent"
-        return _RESULTS.get(self.fc & 0x0F, f"FC {self.fc:02X}h")
+        return result(self.fc)
 
 
 class Services:
@@ -343,7 +336,7 @@ def _answer(raw: Any) -> Answer:
     if raw.status == lib.DPM_CONF_ANSWER:
         return Answer(None if raw.short_ack else raw.fc, bytes(ffi.buffer(raw.answer, raw.answer_length)), tsdr, raw.tries)
     reason = {
-        lib.DPM_CONF_NA: f"does not answer ({raw.tries} {'try' if raw.tries == 1 else 'tries'})",
+        lib.DPM_CONF_NA: NO_ANSWER,
         lib.DPM_CONF_INVALID: "answered with something that is no answer to this request",
     }.get(raw.status, "was not asked: the master lost the token or left the bus")
     raise StationError(f"station {raw.da} {reason}", address=raw.da, reason=reason)

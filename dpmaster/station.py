@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from dpmaster import _arguments, _core
 from dpmaster._core import NS, ffi, lib
 from dpmaster.bus import Feed, Mode
-from dpmaster.diagnosis import Diagnosis, DiagnosisHistory, DiagnosisRecord, Reason, StationState, judge, why
+from dpmaster.diagnosis import NO_ANSWER, Diagnosis, DiagnosisHistory, DiagnosisRecord, Reason, StationState, judge, why
 from dpmaster.errors import ConfigurationError, DPTimeout, NotOperatingError, OutputsDiscarded, StationError
 from dpmaster.signals import Signals
 
@@ -270,7 +270,7 @@ class Station:
         if text or status.state == StationState.DATA:
             return text
         if status.state == StationState.OFFLINE:
-            return why(Reason.NO_ANSWER, status.state, ident_number=self.ident_number)
+            return NO_ANSWER
         if diagnosis is not None and not diagnosis.ready:
             return "; ".join(diagnosis.texts)
         return f"is still being started ({StationState(status.state).name})"

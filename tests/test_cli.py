@@ -69,7 +69,7 @@ def test_wrong_arguments_leave_with_2_and_the_usage(argv: list[str], capsys: pyt
         cli.main(argv)
     assert left.value.code == 2
     out, err = capsys.readouterr()
-    assert out == "" and err.startswith("usage: dpmaster")
+    assert out == "" and err.startswith("usage: dpmaster") and err.endswith("('dpmaster --help' tells more)\n")
 
 
 def test_the_commands_own_exit_code_is_returned(command: Callable[[Callable[[object], int]], None]) -> None:

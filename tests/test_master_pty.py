@@ -529,7 +529,7 @@ def test_requests_say_what_came_back(master: Master, running: Station) -> None:
     configuration = master.request(5, "SRD", 59, 62)  # Get_Cfg
     assert configuration.data == CONFIGURATION
     closed = master.request(5, "SRD", 20, 62)
-    assert (closed.ok, closed.meaning) == (False, "RS: service not activated")
+    assert (closed.ok, closed.meaning) == (False, "RS, service not activated")
     assert running.state == StationState.DATA
 
 

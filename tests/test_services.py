@@ -111,7 +111,7 @@ def test_services_of_a_station_that_is_nobodys(master: Master, cards: list[Echo]
         with pytest.raises(StationError, match=r"station 5 refuses RD_(Inp|Outp): RS") as caught:
             service(5)
         assert caught.value.address == 5
-    with pytest.raises(StationError, match="station 9 does not answer"):
+    with pytest.raises(StationError, match="station 9 does not answer: is it powered"):
         master.slave_diag(9)
     with pytest.raises(ConfigurationError, match="address 127"):
         master.get_cfg(127)

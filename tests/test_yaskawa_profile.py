@@ -6,11 +6,10 @@ Where the manual contradicts itself the numbers are the settled ones, and the te
 
 import pytest
 
-from dpmaster.drives.yaskawa_v7 import MAX_TSDR
 from dpmaster.errors import ConfigurationError
 from dpmaster.profiles import yaskawa, yaskawa_v7
 from dpmaster.profiles.yaskawa import Access, FrequencyUnit
-from dpmaster.profiles.yaskawa_v7 import Command, Output, Status
+from dpmaster.profiles.yaskawa_v7 import MAX_TSDR, Command, Output, Status
 
 
 def test_gsd_modules() -> None:

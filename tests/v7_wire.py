@@ -14,10 +14,10 @@ from typing import NamedTuple
 from wire import NEVER, Master, Slaves, Wire, default_parameters, ffi, lib
 
 from dpmaster.drives import YaskawaV7
-from dpmaster.drives.yaskawa_v7 import MAX_TSDR
 from dpmaster.emulator.card import Exchange, SlaveState
 from dpmaster.emulator.cards import SIP1
 from dpmaster.errors import DPTimeout, OutputsDiscarded
+from dpmaster.profiles.yaskawa_v7 import MAX_TSDR
 from dpmaster.station import Frame
 
 NS = 1_000_000_000

@@ -19,6 +19,7 @@ import signal
 import sys
 from collections.abc import Sequence
 from types import FrameType
+from typing import NoReturn
 
 from dpmaster.errors import ConfigurationError, DPError
 
@@ -35,9 +36,16 @@ class Terminated(KeyboardInterrupt):
     """SIGTERM came: leave as after Ctrl-C, through stop word and Clear. A command that ends well by it catches it."""
 
 
+class _Parser(argparse.ArgumentParser):
+    """Its sub-commands' parsers are of this class, too."""
+
+    def error(self, message: str) -> NoReturn:
+        super().error(f"{message} ('{self.prog} --help' tells more)")
+
+
 def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
     """Of the command that is named, or of all: on a small computer importing the others takes longer than most work."""
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="dpmaster",
         description="A PROFIBUS-DP master, emulated drives to run it against, and instruments for the bus.",
         epilog="Exit codes: 0 done, 1 failed, 2 wrong arguments, 130 Ctrl-C, 143 SIGTERM.",

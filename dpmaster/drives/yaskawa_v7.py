@@ -27,7 +27,9 @@ from dpmaster.profiles.yaskawa import (
 from dpmaster.profiles.yaskawa_v7 import (
     CONTROL,
     CURRENT_UNIT,
+    IDENT_NUMBER,
     INPUT_TERMINALS,
+    MAX_TSDR,
     OUTPUT_TERMINALS,
     PARAMETERS,
     TORQUE_UNIT,
@@ -43,12 +45,6 @@ from dpmaster.station import Frame
 
 if TYPE_CHECKING:
     from dpmaster.drives.aio import AsyncYaskawaV7
-
-MAX_TSDR: Mapping[int, int] = {
-    9_600: 60, 19_200: 60, 45_450: 250, 93_750: 60, 187_500: 60, 500_000: 100, 1_500_000: 150, 3_000_000: 250,
-    6_000_000: 450, 12_000_000: 800,
-}
-"""MaxTsdr of YASK00CA.GSD, bit times by rate."""
 
 _FACTS = ("n003", "n004", "n011", "n035", "n152")
 _SCALING = {register(name) for name in (*_FACTS, "n001")}  # n001 can initialise all of them
@@ -126,7 +122,7 @@ class YaskawaV7(Drive[V7Status]):
     Min_Slave_Intervall 0.1 ms.
     """
 
-    IDENT_NUMBER = 0x00CA
+    IDENT_NUMBER = IDENT_NUMBER
 
     def __init__(self, address: int, configuration: str = "Extended Data 1", *, word_order: WordOrder = "big",
                  frequency_unit: str | FrequencyUnit | None = None, name: str | None = None,

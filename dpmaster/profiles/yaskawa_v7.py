@@ -16,6 +16,15 @@ from types import MappingProxyType
 from dpmaster.errors import ConfigurationError
 from dpmaster.profiles.yaskawa import ChannelMap, Configuration, FrequencyUnit, find, judge_address
 
+# -- YASK00CA.GSD ----------------------------------------------------------------------------------------------------------
+
+IDENT_NUMBER = 0x00CA
+MAX_TSDR: Mapping[int, int] = MappingProxyType({
+    9_600: 60, 19_200: 60, 45_450: 250, 93_750: 60, 187_500: 60, 500_000: 100, 1_500_000: 150, 3_000_000: 250,
+    6_000_000: 450, 12_000_000: 800,
+})
+"""Bit times by rate (bit/s)."""
+
 # -- The three configurations (tables 3.1, 3.7 and 3.12) ----------------------------------------------------------------
 
 BASIC_DATA = Configuration(

@@ -31,6 +31,7 @@ from dpmaster.profiles.yaskawa_v7 import (
     CONTROL,
     CURRENT_UNIT,
     FAULTS,
+    IDENT_NUMBER,
     INPUT_TERMINALS,
     LED_ROWS,
     PARAMETERS,
@@ -122,7 +123,7 @@ class SIP1(YaskawaCard):
     `frequency_reference`, `torque_reference`. Conditions to set: `undervoltage`, `storing`, `pulse_train`, `inject`.
     """
 
-    ident_number: int = 0x00CA
+    ident_number: int = IDENT_NUMBER
     configurations: tuple[bytes, ...] = tuple(c.identifier for c in CONFIGURATIONS)
     sync: bool = True
     freeze: bool = True
