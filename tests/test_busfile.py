@@ -557,3 +557,19 @@ def test_what_was_measured_is_the_allowance(write: Callable[..., Path]) -> None:
     path.with_name("found.json").write_text("[]")
     with pytest.raises(ConfigurationError, match=r":6: bus\.calibration: .*give a file that"):
         BusFile.load(path)
+
+
+@pytest.mark.tree
+def test_the_example_of_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    page = (Path(__file__).parent.parent / "docs" / "busfile.md").read_text()
+    file, program = (re.search(rf"```{language}\n(.*?)```", page, re.DOTALL)[1] for language in ("toml", "python"))  # type: ignore[index]
+    monkeypatch.chdir(tmp_path)
+    Path("valves.gsd").write_text(GSD, encoding="ascii")
+    with Segment() as wire:
+        wire.attach(SIP1(5))
+        valves = wire.attach(GenericSlave(7, 0x4321, [bytes.fromhex("20 51")], user_parameters=(0, 237), fail_safe=True))
+        wire.attach(GenericSlave(9, 0x1234, [bytes.fromhex("13 23")]))
+        valves.inputs = bytes.fromhex("0000 0177")
+        Path("bus.toml").write_text(file.replace("/dev/ttyAMA0", wire.port()), encoding="utf-8")
+        exec(program, {"Master": Master})
+    assert capsys.readouterr().out == "37.5\nb'\\x00\\x00\\x01w'\n"

@@ -1,17 +1,23 @@
 # SPDX-License-Identifier: MIT
-"""The examples of docs/programs.md do what the page says, octet for octet of what they print."""
+"""The examples of docs/programs.md do what the page says, octet for octet of what they print; those of the other pages run, and
+the command line takes the commands on them."""
 
 from __future__ import annotations
 
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
+from drive_bench import VirtualSIP3
 
+from dpmaster import cli
+from dpmaster.drives import YaskawaV7
 from dpmaster.emulator import Segment
-from dpmaster.emulator.cards import SIP1
+from dpmaster.emulator.cards import SIP1, SIP3
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "programs.md"
@@ -45,3 +51,46 @@ def test_an_example_runs_and_prints_what_is_written(title: str, program: str, pr
         done = subprocess.run([sys.executable, "-W", "error", "-c", text], cwd=ROOT, capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stdout) == (0, printed), done.stderr
     assert "Traceback" not in done.stderr  # warnings are logged there
+
+
+# ---- the other pages
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    found = re.findall(r"^```(\w*)\n(.*?)^```", page.read_text(), flags=re.DOTALL | re.MULTILINE)
+    return [text for named, text in found if named == language]
+
+
+def commands() -> list[str]:
+    """What stands on the pages to be typed; two spaces or more are before what it is for."""
+    pages = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+    lines = [line for page in pages for block in blocks(page, "") for line in block.splitlines()]
+    return [re.split(r"\s{2,}", line)[0] for line in lines if line.startswith("dpmaster ")]
+
+
+def test_the_command_line_takes_the_commands_on_the_pages() -> None:
+    found = commands()
+    assert {line.split()[1] for line in found} >= {"demo", "run", "emulate", "scan", "drive", "diag", "gsd", "timing", "doctor"}
+    for line in found:
+        argv = shlex.split(line)[1:]
+        cli._parser(argv).parse_args(argv)
+
+
+def test_the_program_of_the_readme(capfd: pytest.CaptureFixture[str]) -> None:
+    (program,) = blocks(ROOT / "README.md", "python")
+    text = program.replace("30.00", "3.00")  # a ramp of half a second
+    done = subprocess.run([sys.executable, "-W", "error", "-c", text], cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert re.fullmatch(r"running, frequency_agree, .*output_frequency=3,.*\n3 3\.0\n", done.stdout)
+
+
+def test_the_examples_of_drives() -> None:
+    turning, parameters = blocks(ROOT / "docs" / "drives.md", "python")
+    names: dict[str, Any] = {}
+    exec(turning, names)
+    drive = VirtualSIP3(SIP3(5))
+    names["turn"](drive)
+    assert drive.status.zero_speed and drive.trace
+    assert names["YaskawaV7"] is YaskawaV7
+    exec(parameters, {"drive": drive})
+    assert (drive["d1-17"], drive["C1-02"], [*drive.status.monitors][:2]) == (6.0, 2.5, ["U1-07", "U1-08"])
