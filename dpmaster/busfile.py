@@ -44,7 +44,7 @@ def _keywords(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:
 
 _MASTER = {name: p for name, p in _keywords(Master.__init__).items() if name != "parameters"}
 _STATION = {name: p for name, p in _keywords(Station.__init__).items() if p.kind == p.KEYWORD_ONLY}
-_PLAN = ("masters", "repeaters", "repeater_delay", "length", "others", "chunk")
+_PLAN = ("masters", "repeaters", "repeater_delay", "length", "stubs", "others", "chunk")
 _SIGNAL = ("module", "offset", "type", "bit", "scale", "unit")
 _GSD = ("gsd", "encoding", "modules", "parameters", "names", "dpv1", "alarms")
 _OFF = ("watchdog", "output_watchdog")  # keys that may be "off"; TOML has no word for None

@@ -10,13 +10,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-__all__ = ["CABLE", "STATIONS", "Limits", "limits"]
+__all__ = ["CABLE", "REPEATERS", "SPACING", "STATIONS", "Limits", "limits"]
 
 CABLE = {"impedance": "135 to 165 ohm at 3 to 20 MHz", "capacitance": "below 30 pF/m", "loop resistance": "below 110 ohm/km",
          "conductor": "above 0.64 mm, 0.34 mm2", "shield": "above 80 %"}
 STATIONS = 31  # on one segment, without a repeater
 REPEATERS = 9  # in line
-SPACING = 1.0  # m of cable between two stations, at least
+SPACING = 1  # m of cable between two stations, at least
 
 # bit/s: m
 _SEGMENT = {93_750: 1200, 187_500: 1000, 500_000: 400, 1_500_000: 200, 12_000_000: 100}
@@ -31,6 +31,10 @@ class Limits:
     segment: int
     network: int
     stubs: int
+
+    def __str__(self) -> str:
+        stubs = f"stubs {self.stubs} m together" if self.stubs else "no stubs"
+        return f"{self.segment} m a segment, {self.network} m in all, {stubs}"
 
 
 def limits(rate: float) -> Limits:

@@ -179,11 +179,10 @@ def _heard(port: Port, baudrate: int, seconds: float) -> Iterator[Remark]:
 
 
 def _cable(baudrate: int) -> Iterator[Remark]:
-    rate = float(BusParameters.default(baudrate).rate)
-    most = cable.limits(rate)
-    stubs = f"stubs {most.stubs} m in all" if most.stubs else "no stubs"
-    yield Remark(Level.GOOD, "cable", f"at {_kilo(baudrate)} bit/s: {most.segment} m a segment, {most.network} m in all, "
-                                      f"{stubs}, {cable.STATIONS} stations a segment")
+    most = cable.limits(float(BusParameters.default(baudrate).rate))
+    kind = ", ".join(map(" ".join, cable.CABLE.items()))
+    yield Remark(Level.GOOD, "cable", f"at {_kilo(baudrate)} bit/s: {most}; {cable.STATIONS} stations a segment, "
+                                      f"{cable.SPACING} m at least between two; {kind}")
 
 
 # ---- the computer

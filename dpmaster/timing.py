@@ -16,7 +16,7 @@ from typing import Any
 
 from dpmaster._arguments import number, whole
 from dpmaster._core import NS, check, ffi, lib
-from dpmaster.cable import limits
+from dpmaster.cable import REPEATERS, STATIONS, limits
 from dpmaster.errors import ConfigurationError
 from dpmaster.parameters import BAUDRATES, BusParameters
 from dpmaster.station import Station, Watchdog, watchdog_factors
@@ -234,21 +234,22 @@ def slowest(slaves: Iterable[Slave], rate: Fraction) -> int:
 
 def plan(baudrate: int = 500_000, slaves: Sequence[Slave] = (), *, addresses: Sequence[int] = (1,), masters: int = 1,
          ring: bool = False, profile: str = "uart", allowance: float | None = None, repeaters: int = 0,
-         repeater_delay: int = REPEATER_DELAY, length: float = 0.0, cycle_time: float | None = None,
+         repeater_delay: int = REPEATER_DELAY, length: float = 0.0, stubs: float = 0.0, cycle_time: float | None = None,
          others: float | None = None, chunk: float = 0.0, parameters: BusParameters | None = None,
          changes: Mapping[str, int] | None = None) -> Timing:
     """Compute what a bus needs, predict what it does, and say what will not work.
 
     baudrate: bit/s, a nominal rate. addresses: of our masters. masters: all on the bus; more than one is a ring, and so is
     `ring` with one that waits for others. profile, allowance (s): the port's, as for `Master`. repeaters: the most between
-    two stations, repeater_delay: Tbit through one. length: m from end to end. others: s that each other master holds the
+    two stations, repeater_delay: Tbit through one. length: m from end to end. stubs: m, all of a segment
+    together. others: s that each other master holds the
     token, None: as long as ours. chunk: s between two deliveries of a USB adapter. parameters: a whole
     set in place of the computed one; changes: single values, by name.
 
     Raises ConfigurationError for what is no description of a bus; what is one and will not work is in `findings`.
     """
     changes = changes or {}
-    _check_bus(slaves, addresses, masters, repeaters, repeater_delay, length)
+    _check_bus(slaves, addresses, masters, repeaters, repeater_delay, {"length": length, "stubs": stubs})
     _check_changes(changes)
     masters = max(masters, len(addresses))
     ring = ring or masters > 1
@@ -281,7 +282,8 @@ def plan(baudrate: int = 500_000, slaves: Sequence[Slave] = (), *, addresses: Se
         *_rotation(chosen, ttr, masters),
         *_refused(chosen, addresses),
         *_rate(chosen, profile),
-        *_cable(chosen, length, repeaters),
+        *_cable(chosen, length, stubs, repeaters),
+        *_stations(masters + len(slaves), repeaters, profile),
         *_watchdogs(predicted, slaves),
     ]
     return Timing(chosen, tuple(slaves), tuple(addresses), masters, ring, profile, allowance, delivery, others, ttd, needed,
@@ -308,7 +310,7 @@ def tsl_needed(parameters: BusParameters, max_tsdr: int, inside: float = 0.0, tt
 
 
 def _check_bus(slaves: Sequence[Slave], addresses: Sequence[int], masters: int, repeaters: int, repeater_delay: int,
-               length: float) -> None:
+               metres: Mapping[str, float]) -> None:
     if not addresses:
         raise ConfigurationError("addresses: a bus needs one master of ours at least")
     for address in addresses:
@@ -316,8 +318,9 @@ def _check_bus(slaves: Sequence[Slave], addresses: Sequence[int], masters: int, 
     whole("masters", masters, 1, 126)
     whole("repeaters", repeaters, 0, 126)
     whole("repeater_delay", repeater_delay, 0, 1_000)
-    if not number(length) or not 0 <= length <= 1_000_000:
-        raise ConfigurationError(f"length {length!r} m: 0 to 1000000 m")
+    for name, value in metres.items():
+        if not number(value) or not 0 <= value <= 1_000_000:
+            raise ConfigurationError(f"{name} {value!r} m: 0 to 1000000 m")
     seen: set[int] = set()
     for address in (*addresses, *(slave.address for slave in slaves)):
         if address in seen:
@@ -408,15 +411,23 @@ def _rate(p: BusParameters, profile: str) -> Iterable[Finding]:
                       "an FT232H or FT2232H, or a lower rate; opening the port reads back what the driver made of it")
 
 
-def _cable(p: BusParameters, length: float, repeaters: int) -> Iterable[Finding]:
+def _cable(p: BusParameters, length: float, stubs: float, repeaters: int) -> Iterable[Finding]:
     """What the manuals allow of copper, evenly divided by the repeaters."""
     most = limits(float(p.rate))
-    segments, kilo = repeaters + 1, float(p.rate) / 1000
-    if length > min(most.segment * segments, most.network):
-        needed = math.ceil(length / most.segment) - 1
-        yield Finding(False, f"{length:g} m with {repeaters} repeaters is too long at {kilo:g} kbit/s for copper: "
-                      f"{most.segment} m a segment, {most.network} m in all",
-                      f"{needed} repeaters, or fibre, or a lower rate" if length <= most.network else "fibre, or a lower rate")
+    allowed = f"is too long at {float(p.rate) / 1000:g} kbit/s for copper: {most}"
+    if length > min(most.segment * (repeaters + 1), most.network):
+        needed = f"{math.ceil(length / most.segment) - 1} of them, or " if length <= most.network else ""
+        yield Finding(False, f"{length:g} m with {repeaters} repeaters {allowed}", f"{needed}fibre, or a lower rate")
+    if stubs > most.stubs:
+        yield Finding(False, f"{stubs:g} m of stubs {allowed}", "lead the cable from station to station, or a lower rate")
+
+
+def _stations(stations: int, repeaters: int, profile: str) -> Iterable[Finding]:
+    """With repeaters nobody knows which station is behind which."""
+    if stations > STATIONS and not repeaters and profile != "pty":
+        yield Finding(False, f"{stations} stations without a repeater: {STATIONS} are the most on one segment", "a repeater")
+    if repeaters > REPEATERS:
+        yield Finding(False, f"{repeaters} repeaters between two stations: {REPEATERS} are the most in line", "fibre")
 
 
 def _watchdogs(predicted: Cycle, slaves: Sequence[Slave]) -> Iterable[Finding]:

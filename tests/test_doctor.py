@@ -15,6 +15,7 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -24,7 +25,7 @@ from dpmaster.doctor import Level, examine
 from dpmaster.emulator import Line, Segment
 from dpmaster.emulator.cards import SIP1
 from dpmaster.ports import Port, Rate, _description, ports
-from dpmaster.timing import plan, profile_allowance
+from dpmaster.timing import Slave, plan, profile_allowance
 
 RATE = 500_000
 
@@ -208,16 +209,34 @@ def test_rates_that_one_manual_leaves_out_are_in_the_other(rate: float) -> None:
     assert cable.limits(rate).stubs == 100
 
 
+def notes(**bus: Any) -> list[str]:
+    return [finding.text + "; " + finding.remedy for finding in plan(RATE, **bus).findings]
+
+
 def test_timing_tells_of_a_cable_that_is_too_long() -> None:
     """SI-P1 manual, table C.4: 400 m a segment and 4000 m in all at 500 kbit/s."""
+    assert notes(length=400) == notes(length=1200, repeaters=2) == []
+    (text,) = notes(length=1201, repeaters=2)
+    assert "400 m a segment, 4000 m in all" in text and "; 3 of them, or fibre" in text
+    assert any("; fibre, or" in text for text in notes(length=4001, repeaters=9))
 
-    def found(length: float, repeaters: int) -> list[str]:
-        return [finding.text + finding.remedy for finding in plan(RATE, length=length, repeaters=repeaters).findings]
 
-    assert found(400, 0) == found(1200, 2) == []
-    (text,) = found(1201, 2)
-    assert "400 m a segment, 4000 m in all" in text and "3 repeaters" in text
-    assert any("in allfibre" in text for text in found(4001, 20))
+def test_timing_tells_of_stubs_that_are_too_long() -> None:
+    """SI-P1 manual, table C.5: 33 m together at 500 kbit/s, none above 1.5 Mbit/s."""
+    assert notes(stubs=33) == []
+    (text,) = notes(stubs=34)
+    assert "34 m of stubs is too long at 500 kbit/s" in text and "stubs 33 m together" in text
+    assert any("no stubs" in finding.text for finding in plan(3_000_000, stubs=1).findings)
+
+
+def test_timing_tells_of_too_many_stations_and_repeaters() -> None:
+    """SI-P1 manual, appendix C: 31 devices on a segment without a repeater, masters included; nine repeaters in line."""
+    slaves = [Slave(address) for address in range(10, 41)]
+    assert notes(slaves=slaves[1:]) == notes(slaves=slaves, repeaters=9) == []
+    (text,) = notes(slaves=slaves)
+    assert "32 stations without a repeater: 31 are the most" in text
+    (text,) = notes(repeaters=10)
+    assert "9 are the most in line" in text
 
 
 # ---- a card on a real line

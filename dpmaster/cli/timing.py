@@ -16,6 +16,7 @@ from dataclasses import asdict, replace
 from typing import Any
 
 from dpmaster.busfile import BusFile
+from dpmaster.cable import limits
 from dpmaster.cli._master import milliseconds
 from dpmaster.drives import PROFILES as DRIVES
 from dpmaster.errors import ConfigurationError
@@ -110,6 +111,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--chunk", type=milliseconds, metavar="MS",
                         help="ms between two deliveries of a USB adapter, its latency timer: 1 or 16")
     parser.add_argument("--length", type=float, metavar="M", help="metres of cable between the ends")
+    parser.add_argument("--stubs", type=float, metavar="M", help="metres of all stubs of a segment together")
     parser.add_argument("--cycle-time", type=milliseconds, metavar="MS", help="from one cycle's start to the next one's")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     group = parser.add_argument_group("bus parameters, in place of the computed ones")
@@ -142,7 +144,8 @@ def _plural(n: int, noun: str) -> str:
 
 def _head(t: Timing) -> str:
     return (f"{rate(float(t.parameters.rate))}, {_plural(t.masters, 'master')}{' in a ring' if t.ring else ''}, "
-            f"{_plural(len(t.slaves), 'slave')}; {t.profile}, host up to {shown(t.allowance)} late"
+            f"{_plural(len(t.slaves), 'slave')}; {t.profile}, host up to {shown(t.allowance)} late\n"
+            f"copper: {limits(float(t.parameters.rate))}"
             + (f"\na paced pty hands over telegrams when they are whole: up to {shown(t.delivery)} more" if t.delivery else ""))
 
 
@@ -242,7 +245,7 @@ def as_object(t: Timing) -> dict[str, object]:
         "delivery": t.delivery,
         "parameters": {k: v for k, v in asdict(p).items() if k != "rate"},
         "tid1": p.tid1, "tid2": p.tid2, "ttd": t.ttd, "tto": {address: p.tto(address) for address in t.addresses},
-        "tsl_needed": t.tsl_needed,
+        "tsl_needed": t.tsl_needed, "copper": asdict(limits(float(p.rate))),
         "cycle": {
             "exchanges": [{"address": s.address, "outputs": s.outputs, "inputs": s.inputs, "bits": part.bits,
                            "seconds": part.seconds} for s, part in zip(t.slaves, c.exchanges, strict=True)],
