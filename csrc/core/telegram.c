@@ -150,22 +150,20 @@ int dpm_decode(const uint8_t *octets, size_t n, dpm_telegram *telegram)
     }
 }
 
-/* Extension octets of one side into out, or counted only when out is NULL. */
-static size_t encode_side(int16_t segment, int16_t sap, uint8_t *out)
+/* How many extension octets one side has. */
+static size_t side_length(int16_t segment, int16_t sap)
 {
-    size_t n = 0;
+    return (size_t)(segment >= 0) + (size_t)(sap >= 0);
+}
 
-    if (segment >= 0) {
-        if (out)
-            out[n] = (uint8_t)(segment | SEGMENT | (sap >= 0 ? EXTENDED : 0));
-        n++;
-    }
-    if (sap >= 0) {
-        if (out)
-            out[n] = (uint8_t)sap;
-        n++;
-    }
-    return n;
+/* Writes them; returns where the next octet goes. */
+static uint8_t *encode_side(int16_t segment, int16_t sap, uint8_t *out)
+{
+    if (segment >= 0)
+        *out++ = (uint8_t)(segment | SEGMENT | (sap >= 0 ? EXTENDED : 0));
+    if (sap >= 0)
+        *out++ = (uint8_t)sap;
+    return out;
 }
 
 static bool is_number(int16_t value)
@@ -195,15 +193,15 @@ static int encode_bare(const dpm_telegram *t, size_t behind, uint8_t *out, size_
 /* DA up to ED. */
 static void encode_body(const dpm_telegram *t, size_t le, uint8_t *body)
 {
-    const size_t destination = encode_side(t->dsegment, t->dsap, body + HEADER);
-    const size_t source = encode_side(t->ssegment, t->ssap, body + HEADER + destination);
+    uint8_t *const source = encode_side(t->dsegment, t->dsap, body + HEADER);
+    uint8_t *const data = encode_side(t->ssegment, t->ssap, source);
     uint8_t sum = 0;
 
-    body[0] = (uint8_t)(t->da | (destination ? EXTENDED : 0));
-    body[1] = (uint8_t)(t->sa | (source ? EXTENDED : 0));
+    body[0] = (uint8_t)(t->da | (source > body + HEADER ? EXTENDED : 0));
+    body[1] = (uint8_t)(t->sa | (data > source ? EXTENDED : 0));
     body[2] = t->fc;
     if (t->length)
-        memcpy(body + HEADER + destination + source, t->data, t->length);
+        memcpy(data, t->data, t->length);
     for (size_t i = 0; i < le; i++)
         sum = (uint8_t)(sum + body[i]);
     body[le] = sum;
@@ -225,7 +223,7 @@ static bool fits(uint8_t format, size_t behind)
 
 int dpm_encode(const dpm_telegram *t, uint8_t *out, size_t size)
 {
-    const size_t behind = encode_side(t->dsegment, t->dsap, NULL) + encode_side(t->ssegment, t->ssap, NULL) + t->length;
+    const size_t behind = side_length(t->dsegment, t->dsap) + side_length(t->ssegment, t->ssap) + t->length;
     const uint8_t format = t->format ? t->format : behind ? DPM_SD2 : DPM_SD1;
     const size_t head = format == DPM_SD2 ? 4 : 1;
     const size_t le = HEADER + behind;
