@@ -71,7 +71,7 @@ def examine(path: str, baudrate: int | None = None, listen: float = 1.0) -> Diag
         except PortError as error:
             text, _, remedy = str(error).removeprefix(f"port {path}: ").partition(": ")
             remarks.append(Remark(Level.BAD, "port", text, remedy))
-    return Diagnosis(port, rates, (*remarks, *examine_computer()))
+    return Diagnosis(port, rates, (*remarks, *examine_computer(serial=port.kind != "pty")))
 
 
 # ---- the port
@@ -188,9 +188,9 @@ def _cable(baudrate: int) -> Iterator[Remark]:
 # ---- the computer
 
 
-def examine_computer() -> tuple[Remark, ...]:
-    """The kernel, what this user may ask of it, and the CPU's clock."""
-    return (*_kernel(), *_limits(), *_governor())
+def examine_computer(serial: bool = True) -> tuple[Remark, ...]:
+    """The kernel, what this user may ask of it, and the CPU's clock. `serial`: for a serial port, not for a pty."""
+    return (*_kernel(), *_limits(Level.BAD if serial else Level.NOTE), *_governor())
 
 
 def _read(path: str) -> str:
@@ -211,18 +211,19 @@ def _kernel() -> Iterator[Remark]:
                      "nothing, for a master alone on its bus; in a ring, a kernel with PREEMPT_RT (Debian: linux-image-rt-*)")
 
 
-def _limits() -> Iterator[Remark]:
+def _limits(level: Level) -> Iterator[Remark]:
+    """`level`: how much a refusal matters. On a pty nothing of this is asked for unless the program says so."""
     wanted = Realtime().priority
     allowed = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
     unlimited = (os.geteuid() == 0, allowed == resource.RLIM_INFINITY)
     if any(unlimited) or allowed >= wanted:
         yield Remark(Level.GOOD, "priority", f"SCHED_FIFO {wanted} is granted")
     else:
-        yield Remark(Level.BAD, "priority", f"SCHED_FIFO ends at {allowed} for this user, the bus thread asks for {wanted}",
+        yield Remark(level, "priority", f"SCHED_FIFO ends at {allowed} for this user, the bus thread asks for {wanted}",
                      "'@dialout - rtprio 60' in /etc/security/limits.d/dpmaster.conf, LimitRTPRIO=60 in a systemd unit")
     memory = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
     if memory != resource.RLIM_INFINITY and memory < 1 << 20 and os.geteuid():
-        yield Remark(Level.BAD, "memory", f"{memory // 1024} KiB may be locked, the bus thread needs 1 MiB",
+        yield Remark(level, "memory", f"{memory // 1024} KiB may be locked, the bus thread needs 1 MiB",
                      "'@dialout - memlock unlimited', LimitMEMLOCK=infinity")
     runtime = _read("/proc/sys/kernel/sched_rt_runtime_us")
     if runtime == "0":

@@ -126,9 +126,18 @@ def test_limits_of_the_user_decide_about_priority(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(os, "geteuid", lambda: 1000)
     for allowed, level in ((0, Level.BAD), (39, Level.BAD), (40, Level.GOOD), (resource.RLIM_INFINITY, Level.GOOD)):
         monkeypatch.setattr(resource, "getrlimit", lambda which, allowed=allowed: (allowed, allowed))
-        found = remarks(doctor._limits())
+        found = remarks(iter(doctor.examine_computer()))
         assert found["priority"].level is level
         assert ("rtprio 60" in found["priority"].remedy) is (level is Level.BAD)
+
+
+def test_a_virtual_wire_works_without_priority(wire: Segment, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a pty the bus thread does not ask for it (`Realtime`)."""
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
+    monkeypatch.setattr(resource, "getrlimit", lambda which: (0, 0))
+    found = examine(wire.port())
+    noted = remarks(iter(found.remarks))
+    assert found.works and noted["priority"].level is noted["memory"].level is Level.NOTE
 
 
 def test_the_doctor_sends_nothing_and_names_what_it_hears(wire: Segment) -> None:
