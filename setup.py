@@ -6,7 +6,7 @@ import sysconfig
 from setuptools import setup
 
 setup(
-    cffi_modules=["dpmaster/_build.py:ffi"],
+    cffi_modules=["dpmaster/_build.py:binding"],
     zip_safe=False,
     # One wheel for every Python from 3.11 on (stable ABI), except for free-threaded builds, which have none yet.
     options={} if sysconfig.get_config_var("Py_GIL_DISABLED") else {"bdist_wheel": {"py_limited_api": "cp311"}},

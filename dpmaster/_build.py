@@ -45,22 +45,26 @@ def headers() -> list[str]:
     return sorted(str(path.relative_to(ROOT)) for room in ("include", "csrc") for path in (ROOT / room).rglob("*.h"))
 
 
-ffi = FFI()
-ffi.cdef(declarations())
-ffi.set_source(
-    "dpmaster._dpm",
-    "\n".join(f'#include "dpmaster/{name}.h"' for name in HEADERS),
-    sources=sources(),
-    include_dirs=["include", "csrc"],
-    depends=headers(),
-    # The extension exports nothing but its init function; mismatched pointers in the binding are errors, not warnings.
-    define_macros=[("DPM_API", ""), ("_GNU_SOURCE", "1")],
-    extra_compile_args=[
-        "-std=c11", "-O2", "-fvisibility=hidden", "-Werror=incompatible-pointer-types", "-Werror=int-conversion",
-        *shlex.split(os.environ.get("DPM_CFLAGS", "")),
-    ],
-    extra_link_args=["-pthread", *shlex.split(os.environ.get("DPM_LDFLAGS", ""))],
-)
+def binding() -> FFI:
+    """The binding, ready to be compiled. Made when it is asked for: an installed package has no headers."""
+    ffi = FFI()
+    ffi.cdef(declarations())
+    ffi.set_source(
+        "dpmaster._dpm",
+        "\n".join(f'#include "dpmaster/{name}.h"' for name in HEADERS),
+        sources=sources(),
+        include_dirs=["include", "csrc"],
+        depends=headers(),
+        # The extension exports nothing but its init function; mismatched pointers in the binding are errors, not warnings.
+        define_macros=[("DPM_API", ""), ("_GNU_SOURCE", "1")],
+        extra_compile_args=[
+            "-std=c11", "-O2", "-fvisibility=hidden", "-Werror=incompatible-pointer-types", "-Werror=int-conversion",
+            *shlex.split(os.environ.get("DPM_CFLAGS", "")),
+        ],
+        extra_link_args=["-pthread", *shlex.split(os.environ.get("DPM_LDFLAGS", ""))],
+    )
+    return ffi
+
 
 if __name__ == "__main__":
-    ffi.compile(verbose=True)
+    binding().compile(verbose=True)

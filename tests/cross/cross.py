@@ -18,7 +18,7 @@ from zlib import crc32
 import pytest
 from foreign import apt, require, run
 
-from dpmaster._build import ffi
+from dpmaster import _build
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 HERE = Path(__file__).resolve().parent
@@ -108,7 +108,7 @@ def build_package(target: Target, root: Path, place: Path) -> None:
     if (ROOT.parent / "shared").exists():
         (place.parent / "shared").symlink_to(ROOT.parent / "shared")
     binding = place / "_dpm.c"
-    ffi.emit_c_code(str(binding))
+    _build.binding().emit_c_code(str(binding))
     (headers,) = (root / "usr/include").glob("python3.*")
     run(target.compiler, "-shared", "-fPIC", "-std=c11", "-O2", "-D_GNU_SOURCE", "-DDPM_API=", "-DPy_LIMITED_API=0x030b0000",
         f"-I{headers}", f"-I{root / 'usr/include'}", *INCLUDES, binding, *SOURCES, "-pthread",
