@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+import dpmaster
 from dpmaster import cli
 from dpmaster.errors import DPError, PortError
 
@@ -51,6 +52,12 @@ def test_every_command_on_the_list_keeps_the_agreement(name: str, capsys: pytest
 def test_every_command_of_the_room_is_on_the_list() -> None:
     files = [path for entry in cli.__path__ for path in Path(entry).glob("*.py")]
     assert {path.stem for path in files if re.search(r"^NAME = ", path.read_text(), flags=re.MULTILINE)} == set(cli.COMMANDS)
+
+
+def test_the_version_is_the_packages(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as left:
+        cli.main(["--version"])
+    assert (left.value.code, capsys.readouterr().out) == (0, f"dpmaster {dpmaster.__version__}\n")
 
 
 def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:

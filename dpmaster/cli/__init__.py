@@ -21,6 +21,7 @@ from collections.abc import Sequence
 from types import FrameType
 from typing import NoReturn
 
+import dpmaster
 from dpmaster.errors import ConfigurationError, DPError
 
 # Every command, in the order of the help.
@@ -50,6 +51,7 @@ def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
         description="A PROFIBUS-DP master, emulated drives to run it against, and instruments for the bus.",
         epilog="Exit codes: 0 done, 1 failed, 2 wrong arguments, 130 Ctrl-C, 143 SIGTERM.",
     )
+    parser.add_argument("--version", action="version", version=f"%(prog)s {dpmaster.__version__}")
     subparsers = parser.add_subparsers(metavar="COMMAND", required=True)
     for name in [name for name in COMMANDS if argv[:1] == [name.replace("_", "-")]] or COMMANDS:
         command = importlib.import_module(f"dpmaster.cli.{name}")
