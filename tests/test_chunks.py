@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,7 @@ from waiting import until
 from wire import MS, S, Slaves, default_parameters, lib
 from wire import Master as CoreMaster
 
-from dpmaster import ConfigurationError, Master, PortError, StationState
+from dpmaster import BusParameters, ConfigurationError, Master, PortError, StationState
 from dpmaster.calibration import calibrate
 from dpmaster.drives import YaskawaV7
 from dpmaster.emulator import Segment
@@ -77,6 +78,29 @@ def test_exchange_stands_behind_an_adapter_with_the_measured_allowance(chunk: fl
                 if end.losses == 0 and wire.report(card).watchdog_expired == 0:
                     return
     raise AssertionError(f"losses in each attempt, the last with allowance {found.allowance}: {end}")
+
+
+@pytest.mark.parametrize(("chunk", "echo"), [(0.0, False), (0.001, True)])
+def test_exchange_stands_on_a_bad_line_and_the_statistics_name_it(chunk: float, echo: bool) -> None:
+    """Octets late, in chunks, with parity errors, among one's own: each shows where it belongs, and no station is lost."""
+    patient = replace(BusParameters.default(RATE), max_retry_limit=5)
+    for _ in range(3):  # as above: the computer's own lateness is no fault of the line
+        with Segment(RATE, echo=echo, realtime=True) as wire:
+            card = wire.attach(SIP1(address=7))
+            with Master(wire.port(), RATE, allowance=0.03, parameters=patient, realtime=True) as master:
+                drive = master.add(YaskawaV7(address=7, watchdog=2.0))
+                master.operate()
+                wire.faults(seed=1, parity=0.003, delay=0.001, chunk=chunk)
+                for _ in range(100):
+                    master.wait_cycle(timeout=20)
+                counts, end = master.statistics, drive.statistics
+                assert counts.port.line_errors > 0 and counts.rejected["line error"] > 0
+                assert end.repetitions > 0
+                assert (counts.port.echo_octets > 0) is echo
+                assert wire.info.faults >= counts.port.line_errors
+                if end.losses == 0 and wire.report(card).watchdog_expired == 0:
+                    return
+    raise AssertionError(f"losses in each attempt: {end}")
 
 
 # ---- an adapter that is pulled out

@@ -11,6 +11,7 @@ import struct
 import subprocess
 import sys
 import termios
+import tty
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,6 +21,7 @@ import pytest
 
 from dpmaster import ConfigurationError, Master
 from dpmaster._core import block, ffi, lib
+from dpmaster.emulator import Segment
 
 ROOT = Path(__file__).resolve().parent.parent
 TOKEN = bytes.fromhex("DC 02 02")  # protocol page B: SD4 DA SA
@@ -293,19 +295,6 @@ def test_a_port_with_a_fifo_vouches_for_the_past_only(opened: Opener) -> None:
     assert until <= lib.dpm_now() - port.info.traits.granularity
 
 
-def test_a_real_ff_is_not_doubled_where_errors_are_marked(opened: Opener) -> None:
-    port = opened(profile=lib.DPM_PROFILE_UART)
-    octets = bytes.fromhex("68 FF 00 41 FF FF 16")
-    os.write(port.far, octets)
-    received = b""
-    while len(received) < len(octets):
-        lib.dpm_port_wait(port.port, -1, lib.dpm_now() + 5_000_000_000)
-        assert port.read() > 0
-        received += port.recorder.received()
-    assert received == octets
-    assert port.info.line_errors == 0
-
-
 def test_a_port_that_hung_up_is_gone(opened: Opener) -> None:
     port = opened()
     port.hang_up()
@@ -326,7 +315,7 @@ def unmark(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], list[tup
     source = folder / "main.c"
     source.write_text("""
         #include <stdio.h>
-        #include "linux/port.h"
+        #include "linux/marks.h"
         int main(void)
         {
             dpm_marks marks = {0};
@@ -338,7 +327,7 @@ def unmark(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], list[tup
                     printf("%u %u\\n", octets[i], errors[i]);
             }
         }""")
-    subprocess.run(["cc", "-std=c11", f"-I{ROOT / 'include'}", f"-I{ROOT / 'csrc'}", str(source),
+    subprocess.run(["cc", "-std=c11", "-D_GNU_SOURCE", f"-I{ROOT / 'include'}", f"-I{ROOT / 'csrc'}", str(source),
                     str(ROOT / "csrc/linux/marks.c"), "-o", str(program)], check=True)
 
     def run(raw: str) -> list[tuple[int, int]]:
@@ -360,6 +349,98 @@ def test_marks_of_the_driver_become_line_errors(unmark: Callable[[str], list[tup
     assert unmark("16 FF") == [(0x16, 0)]
     overrun = lib.DPM_LINE_OVERRUN
     assert unmark("FF 41 10") == [(0xFF, overrun), (0x41, overrun), (0x10, 0)]
+
+
+# ---- error marks on a pty: the segment hub makes them ----
+
+
+@dataclass
+class Wire:
+    """A segment, and a program on it that knows no marks."""
+
+    segment: Segment
+    program: int
+
+    def say(self, octets: bytes) -> None:
+        os.write(self.program, octets)
+
+    def hear(self, port: Port, n: int) -> list[tuple[int, int]]:
+        """The next n octets that a port of ours reads, each with its line errors."""
+        heard: list[tuple[int, int]] = []
+        while len(heard) < n and lib.dpm_port_wait(port.port, -1, lib.dpm_now() + 5_000_000_000):
+            assert port.read() > 0
+            for octets, errors, *_ in port.recorder.take("octets"):
+                heard += zip(octets, errors or bytes(len(octets)), strict=True)
+        return heard
+
+
+@pytest.fixture
+def wire() -> Iterator[Wire]:
+    with Segment(cards=0) as segment:
+        program = os.open(segment.port(), os.O_RDWR | os.O_NOCTTY)
+        tty.setraw(program)
+        yield Wire(segment, program)
+        os.close(program)
+
+
+ALL = bytes(range(256)) + bytes.fromhex("FF 00 41 FF FF 00 00 FF")
+
+
+def test_every_octet_passes_from_a_foreign_program_to_a_port_and_back(wire: Wire, opened: Opener) -> None:
+    """Ours reads FF 00 41 as three good octets, the other never sees an FF twice."""
+    port = opened(wire.segment.port())
+    wire.say(ALL)
+    assert wire.hear(port, len(ALL)) == [(octet, 0) for octet in ALL]
+    assert port.write(ALL[200:]) == 0
+    assert os.read(wire.program, 100) == ALL[200:]
+    assert port.info.line_errors == 0
+
+
+def test_a_parity_error_is_a_line_error_to_a_port_and_a_wrong_octet_to_a_foreign_program(wire: Wire, opened: Opener) -> None:
+    """As from a UART: with INPCK the character is marked, without it nobody is told."""
+    port = opened(wire.segment.port())
+    wire.segment.faults(parity=1.0)
+    wire.say(ALL)
+    heard = wire.hear(port, len(ALL))
+    assert all((octet ^ sent).bit_count() == 1 for (octet, _), sent in zip(heard, ALL, strict=True))
+    assert all(errors & lib.DPM_LINE_PARITY for _, errors in heard)
+    assert port.info.line_errors == len(ALL)
+    assert port.write(TOKEN) == 0
+    assert all((a ^ b).bit_count() == 1 for a, b in zip(os.read(wire.program, 10), TOKEN, strict=True))
+
+
+def test_two_that_talk_at_once_are_line_errors(opened: Opener) -> None:
+    """9.6 kbit/s: the second begins while the first, of 290 ms, is on the wire."""
+    with Segment(9600, cards=0) as segment:
+        a, b, ear = (opened(segment.port(), rate=9600) for _ in range(3))
+        assert a.write(bytes(250)) == b.write(bytes(250)) == 0
+        assert any(errors & lib.DPM_LINE_PARITY for _, errors in Wire(segment, -1).hear(ear, 400))
+        assert ear.info.line_errors > 0
+
+
+def test_a_port_that_was_killed_leaves_no_marks_to_the_next_program(wire: Wire) -> None:
+    path = str(wire.segment.port())
+    program = f"from dpmaster import Listener; ear = Listener({path!r}, 500_000); print('open', flush=True); input()"
+    with subprocess.Popen([sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as killed:
+        assert killed.stdout and killed.stdout.readline() == "open\n"
+        wire.segment.faults(parity=1.0)
+        wire.say(TOKEN)
+        killed.kill()
+    wire.segment.faults()
+    next_one = os.open(path, os.O_RDWR | os.O_NOCTTY)
+    _ = wire.segment.info  # on the hub's thread, behind the open
+    termios.tcflush(next_one, termios.TCIFLUSH)
+    wire.say(ALL)
+    heard = b""
+    while len(heard) < len(ALL) and select.select([next_one], [], [], 5)[0]:
+        heard += os.read(next_one, 512)
+    os.close(next_one)
+    assert heard == ALL
+
+
+def test_a_pty_without_a_hub_is_read_as_it_is(opened: Opener) -> None:
+    """Nobody marks there: FF 00 41 is three octets."""
+    assert opened().hear(ALL) == ALL
 
 
 # ---- sending ----

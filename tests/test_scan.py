@@ -63,16 +63,17 @@ def test_what_there_is_no_time_for_stays_unknown(wire: Segment) -> None:
         assert {entry.kind for entry in master.live_list(timeout=0).values()} == {Live.UNKNOWN}
 
 
-def test_the_cycle_goes_on_meanwhile(wire: Segment) -> None:
-    card = wire.attach(SIP1(address=5))
-    wire.attach(SIP1(address=6))
-    with Master(wire.port(), output_watchdog=None) as master:
+def test_the_cycle_goes_on_meanwhile() -> None:
+    """Real time where the system grants it: a loaded computer's lateness is no loss."""
+    with Segment(realtime=True) as wire, Master(wire.port(), output_watchdog=None, realtime=True) as master:
+        card = wire.attach(SIP1(address=5))
+        wire.attach(SIP1(address=6))
         drive = master.add(YaskawaV7(address=5))
         master.operate()
         found = master.live_list(highest=12, identify=True)
         assert there(found) == {5: LiveEntry(Live.SLAVE, IDENT), 6: LiveEntry(Live.SLAVE, IDENT)}
         assert drive.state == StationState.DATA and wire.report(card).watchdog_expired == 0
-        assert drive.statistics.losses == 0 and drive.statistics.repetitions == 0
+        assert drive.statistics.losses == 0
 
 
 def test_a_lost_station_leaves_the_list(wire: Segment) -> None:
@@ -93,10 +94,10 @@ def test_slave_diag_does_not_take_a_slave_from_its_master() -> None:
     """In a ring: one master exchanges, the other asks for the ident number."""
     from test_ring_pty import PARAMETERS, RATE
 
-    with Segment(RATE) as wire:
+    with Segment(RATE, realtime=True) as wire:
         card = wire.attach(SIP1(address=11))
-        with (Master(wire.port(), parameters=PARAMETERS, address=1, output_watchdog=None) as owner,
-              Master(wire.port(), parameters=PARAMETERS, address=2) as guest):
+        with (Master(wire.port(), parameters=PARAMETERS, address=1, output_watchdog=None, realtime=True) as owner,
+              Master(wire.port(), parameters=PARAMETERS, address=2, realtime=True) as guest):
             drive = owner.add(YaskawaV7(address=11))
             owner.operate()
             found = guest.live_list(identify=True, highest=12)

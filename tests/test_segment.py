@@ -541,6 +541,27 @@ def test_segment_and_a_card_on_one_of_its_ports(tmp_path: Path, run: Callable[..
     assert (card.process.returncode, out) == (1, "") and error.count("\n") == 1 and str(folder / "p2") in error
 
 
+def test_segment_makes_the_faults_it_is_told(tmp_path: Path, run: Callable[..., Command],
+                                             open_port: Callable[..., Client]) -> None:
+    folder = tmp_path / "wire"
+    segment = run("segment", "--ports", 2, "--link", folder, "--fault", "duplicate=1.0", "--fault", "seed=3")
+    for _ in range(2):
+        segment.line()
+    a, b = (open_port(str(folder / name)) for name in ("p0", "p1"))
+    a.write(b"xyz")
+    assert b.read(6) == b"xxyyzz"
+    assert segment.end(signal.SIGTERM) == (0, "", "")
+
+
+@pytest.mark.parametrize(("wrong", "why"), [
+    *((wrong, f"{wrong!r}: NAME=VALUE with a number") for wrong in ("paritty=1", "lose", "lose=often", "seed=0.5")),
+    ("lose=1.5", "lose 1.5: a chance is 0.0 to 1.0")])
+def test_a_fault_that_there_is_none_of_is_refused(wrong: str, why: str, tmp_path: Path, run: Callable[..., Command]) -> None:
+    segment = run("segment", "--ports", 1, "--link", tmp_path / "wire", "--fault", wrong)
+    out, error = segment.process.communicate(timeout=20)
+    assert (segment.process.returncode, out) == (2, "") and why in error
+
+
 def test_a_link_that_is_there_already_is_left_alone(tmp_path: Path, run: Callable[..., Command]) -> None:
     link = tmp_path / "drive"
     link.write_text("mine")

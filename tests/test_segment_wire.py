@@ -50,9 +50,9 @@ class Wire:
         self.lib.dpm_wire_init(self.wire, rate, paced, self.lanes, 3)
         self.lib.dpm_wire_set_faults(self.wire, self.ffi.new("dpm_segment_faults *", faults))
 
-    def put(self, source: int, now: int, octets: bytes) -> int:
+    def put(self, source: int, now: int, octets: bytes, errors: bytes | None = None) -> int:
         assert self.lib.dpm_wire_room(self.wire, source)
-        return int(self.lib.dpm_wire_put(self.wire, source, now, octets, len(octets)))
+        return int(self.lib.dpm_wire_put(self.wire, source, now, octets, errors or self.ffi.NULL, len(octets)))
 
     def due(self) -> int:
         return int(self.lib.dpm_wire_due(self.wire))
@@ -63,9 +63,19 @@ class Wire:
         flight = self.lib.dpm_wire_take(self.wire, now, source)
         return (source[0], flight.due, bytes(flight.heard[0 : flight.n])) if flight else None
 
+    def errors(self, now: int) -> bytes | None:
+        """The line errors of the transmission due first, None where it says that there are none."""
+        flight = self.lib.dpm_wire_take(self.wire, now, self.ffi.new("unsigned *"))
+        return bytes(flight.errors[0 : flight.n]) if flight.bad else None
+
     def damage(self, octets: bytes) -> bytes:
-        out = self.ffi.new("uint8_t[]", 3 * len(octets))
-        return bytes(out[0 : self.lib.dpm_wire_damage(self.wire, octets, len(octets), out)])
+        return self.damage_told(octets)[0]
+
+    def damage_told(self, octets: bytes) -> tuple[bytes, bytes]:
+        """The octets that are left and their line errors."""
+        out, errors = (self.ffi.new("uint8_t[]", 3 * len(octets)) for _ in range(2))
+        left = self.lib.dpm_wire_damage(self.wire, octets, len(octets), out, errors)
+        return bytes(out[0:left]), bytes(errors[0:left])
 
 
 def test_a_transmission_is_due_when_its_last_octet_has_ended(c: Any) -> None:
@@ -122,6 +132,25 @@ def test_octets_that_share_time_are_garbled_on_both_sides_and_others_are_not(c: 
     assert wire.take(10**9) == (0, 4 * CHARACTER, b"\xf0\xf0\x00\x00")
     assert wire.take(10**9) == (1, 5 * CHARACTER + 1, b"\x00\x00\x0f")
     assert wire.wire.collisions == 2
+
+
+def test_a_collision_is_a_line_error_where_it_happens(c: Any) -> None:
+    wire = Wire(c)
+    parity = wire.lib.DPM_LINE_PARITY
+    wire.put(0, 0, b"\xf0" * 4)
+    wire.put(1, 2 * CHARACTER + 1, b"\x0f" * 3)
+    assert wire.errors(10**9) == bytes([0, 0, parity, parity])
+    assert wire.errors(10**9) == bytes([parity, parity, 0])
+    wire.put(0, 10**9, b"\xf0" * 4)
+    assert wire.errors(10**10) is None, "those of an earlier transmission"
+
+
+def test_line_errors_stay_with_their_octets(c: Any) -> None:
+    wire = Wire(c)
+    wire.put(0, 0, b"ab", bytes([0, 1]))
+    wire.put(0, 1, b"cd")
+    wire.put(0, 2, b"e", bytes([8]))
+    assert wire.errors(10**9) == bytes([0, 1, 0, 0, 8])
 
 
 def test_transmissions_that_touch_do_not_collide(c: Any) -> None:
@@ -200,12 +229,17 @@ def test_each_fault_does_what_it_says(c: Any) -> None:
     assert Wire(c, insert=ALL).damage(octets)[1::2] == octets
     flipped = Wire(c, flip=ALL).damage(octets)
     assert all((a ^ b).bit_count() == 1 for a, b in zip(octets, flipped, strict=True))
+    assert Wire(c, flip=ALL).damage_told(octets)[1] == bytes(100), "the parity bit went along"
+    wire = Wire(c, parity=ALL, duplicate=ALL)
+    bad, told = wire.damage_told(octets)
+    assert all((a ^ b).bit_count() == 1 for a, b in zip(octets, bad[::2], strict=True)) and bad[1::2] == bad[::2]
+    assert told == bytes([wire.lib.DPM_LINE_PARITY]) * 200
     assert len(Wire(c, insert=ALL, duplicate=ALL).damage(bytes(255))) == 3 * 255 == 765  # what a transmission must hold
 
 
 def test_the_same_seed_makes_the_same_faults_however_the_octets_are_cut(c: Any) -> None:
     octets = bytes(random.Random(1).randbytes(250))
-    chances = {"lose": 50_000, "flip": 50_000, "insert": 50_000, "duplicate": 50_000}
+    chances = {"lose": 50_000, "flip": 50_000, "parity": 50_000, "insert": 50_000, "duplicate": 50_000}
     whole = Wire(c, seed=5, **chances).damage(octets)
     pieces = Wire(c, seed=5, **chances)
     assert b"".join(pieces.damage(octets[i : i + 7]) for i in range(0, 250, 7)) == whole != octets

@@ -459,6 +459,9 @@ def test_a_lost_octet_leaves_its_time_empty_and_an_inserted_one_takes_time():
     flipped, _ = heard_under(3, n=1, flip=1_000_000)
     assert all((a ^ b).bit_count() == 1 for a, b in zip(b"".join(h.octets for h in flipped), ANSWER, strict=True))
     assert not any(any(h.errors) for h in flipped), "the parity bit went along"
+    bad, _ = heard_under(3, n=1, parity=1_000_000)
+    assert all((a ^ b).bit_count() == 1 for a, b in zip(b"".join(h.octets for h in bad), ANSWER, strict=True))
+    assert all(h.errors == bytes([lib.DPM_LINE_PARITY]) * len(h.octets) for h in bad)
     assert heard_under(3, n=5, lose_telegram=1_000_000)[0] == []
 
 

@@ -74,18 +74,21 @@ static void damage(dpm_simulation *sim, dpm_carried *c)
     }
     c->slots = 0;
     for (size_t i = 0; i < c->t.n; i++) {
-        /* Four draws for each octet, whatever they bring: the faults of one octet do not move those of the next. */
+        /* Five draws for each octet, whatever they bring: the faults of one octet do not move those of the next. */
         const uint64_t insert = dpm_draw(&sim->octet_draws), gone = dpm_draw(&sim->octet_draws);
-        const uint64_t flip = dpm_draw(&sim->octet_draws), duplicate = dpm_draw(&sim->octet_draws);
+        const uint64_t flip = dpm_draw(&sim->octet_draws), parity = dpm_draw(&sim->octet_draws);
+        const uint64_t duplicate = dpm_draw(&sim->octet_draws);
         const bool inserts = dpm_hit(insert, faults->insert), loses = dpm_hit(gone, faults->lose);
-        const bool flips = dpm_hit(flip, faults->flip), duplicates = dpm_hit(duplicate, faults->duplicate);
-        const uint8_t octet = (uint8_t)(c->t.octets[i] ^ (flips ? 1u << (flip & 7) : 0));
+        const bool flips = dpm_hit(flip, faults->flip), errs = dpm_hit(parity, faults->parity);
+        const bool duplicates = dpm_hit(duplicate, faults->duplicate);
+        const uint8_t octet = (uint8_t)(c->t.octets[i] ^ (flips ? 1u << (flip & 7) : 0) ^ (errs ? 1u << (parity & 7) : 0));
+        const uint8_t mark = errs ? DPM_LINE_PARITY : 0;
         if (inserts)
             put_slot(c, (uint8_t)insert, 0);
-        put_slot(c, octet, loses ? DPM_SIM_EMPTY : 0);
+        put_slot(c, octet, loses ? DPM_SIM_EMPTY : mark);
         if (duplicates && !loses)
-            put_slot(c, octet, 0);
-        if (inserts || loses || flips || duplicates)
+            put_slot(c, octet, mark);
+        if (inserts || loses || flips || errs || duplicates)
             touch(sim, c);
     }
     c->slotted = sim->statistics.touched != before;
@@ -165,7 +168,7 @@ void dpm_sim_inject_due(dpm_simulation *sim)
 void dpm_simulation_set_faults(dpm_simulation *sim, const dpm_simulation_faults *faults)
 {
     sim->faults = *faults;
-    sim->faulty = faults->lose || faults->flip || faults->insert || faults->duplicate || faults->lose_telegram;
+    sim->faulty = faults->lose || faults->flip || faults->parity || faults->insert || faults->duplicate || faults->lose_telegram;
     sim->octet_draws = faults->seed;
     sim->telegram_draws = ~faults->seed;
     sim->noise_draws = faults->seed ^ 0x5555555555555555u;

@@ -1,8 +1,13 @@
 /* SPDX-License-Identifier: MIT
  *
- * Decodes the marks that a driver puts into the octets for parity and framing errors and breaks. Touches nothing.
+ * Error marks (marks.h). Coding touches nothing; the claims touch record locks of the descriptor they are given.
  */
-#include "linux/port.h"
+#include "linux/marks.h"
+
+#include <fcntl.h>
+#include <unistd.h>
+
+#include "dpmaster/machine.h"
 
 enum { MARK = 0xFF };
 
@@ -30,4 +35,36 @@ size_t dpm_unmark(dpm_marks *marks, const uint8_t *raw, size_t n, uint8_t *octet
         }
     }
     return out;
+}
+
+size_t dpm_mark(const uint8_t *octets, const uint8_t *errors, size_t n, uint8_t *raw)
+{
+    size_t out = 0;
+    for (size_t i = 0; i < n; i++) {
+        const bool bad = errors && errors[i];
+        if (bad || octets[i] == MARK)
+            raw[out++] = MARK;
+        if (bad)
+            raw[out++] = 0;
+        raw[out++] = octets[i];
+    }
+    return out;
+}
+
+/* One octet of the "file" for each end; its descriptor needs no reading or writing for that. */
+static struct flock record(enum dpm_pty_end end, short type)
+{
+    return (struct flock){.l_type = type, .l_whence = SEEK_SET, .l_start = (off_t)end, .l_len = 1};
+}
+
+bool dpm_pty_claim(int fd, enum dpm_pty_end end, bool claimed)
+{
+    struct flock lock = record(end, claimed ? F_WRLCK : F_UNLCK);
+    return fcntl(fd, F_OFD_SETLK, &lock) == 0;
+}
+
+bool dpm_pty_claimed(int fd, enum dpm_pty_end end)
+{
+    struct flock lock = record(end, F_WRLCK);
+    return fcntl(fd, F_OFD_GETLK, &lock) == 0 && lock.l_type != F_UNLCK;
 }

@@ -23,6 +23,7 @@
 
 #include "dpmaster/error.h"
 #include "dpmaster/telegram.h"
+#include "linux/marks.h"
 
 enum {
     CHUNK = 512,           /* octets read at once: more than the longest telegram */
@@ -79,7 +80,7 @@ struct dpm_port {
     dpm_port_config config;
     dpm_port_info info;
     bool pty;
-    bool marked;           /* the driver marks errors */
+    bool marked;           /* the driver marks errors; behind a pty, the segment hub */
     bool paced;            /* a transmission takes its characters' time */
     int64_t character;     /* ns of one character at the rate */
     int64_t spacing;       /* ns between octets read in one go */
@@ -179,7 +180,7 @@ static int set_line(dpm_port *port)
     uint32_t rate = nominal_rate(&port->config);
     if (ioctl(port->fd, TCGETS2, &line) < 0)
         return open_error(errno);
-    line.c_iflag = port->marked ? INPCK | PARMRK : 0;
+    line.c_iflag = port->pty ? 0 : INPCK | PARMRK; /* on a pty the kernel would double the hub's marks */
     line.c_oflag = 0;
     line.c_lflag = 0;
     line.c_cflag = CS8 | PARENB | CREAD | CLOCAL | BOTHER | BOTHER << IBSHIFT;
@@ -290,7 +291,9 @@ static void close_fd(dpm_port *port)
         return;
     if (!port->pty)
         (void)ioctl(port->fd, TIOCNXCL);
-    (void)flock(port->fd, LOCK_UN); /* by hand: a forked child may still hold the descriptor */
+    /* By hand: a forked child may still hold the descriptor. */
+    (void)dpm_pty_claim(port->fd, DPM_PTY_READS_MARKS, false);
+    (void)flock(port->fd, LOCK_UN);
     close(port->fd);
     port->fd = -1;
 }
@@ -319,7 +322,6 @@ static void set_kind(dpm_port *port)
     int kind = detect_profile(port->device);
     int profile = port->config.profile ? port->config.profile : kind;
     port->pty = kind == DPM_PROFILE_PTY;
-    port->marked = !port->pty || profile != DPM_PROFILE_PTY;
     port->paced = !port->pty || port->config.pace == DPM_PACE_BAUD;
     port->spacing = port->pty ? 0 : port->character;
     port->info.profile = profile;
@@ -358,6 +360,8 @@ static int open_line(dpm_port *port)
         return code;
     if (!port->pty)
         ask_driver(port);
+    port->marked = !port->pty ||
+                   (dpm_pty_claimed(port->fd, DPM_PTY_WRITES_MARKS) && dpm_pty_claim(port->fd, DPM_PTY_READS_MARKS, true));
     (void)ioctl(port->fd, TCFLSH, TCIFLUSH); /* what others wrote before is on its way: it is not ours to take back */
     port->marks.seen = 0;
     forget_echo(port);

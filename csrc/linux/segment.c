@@ -21,6 +21,7 @@
 #include <unistd.h>
 
 #include "dpmaster/port.h"
+#include "linux/marks.h"
 #include "linux/wire.h"
 #include "linux/worker.h"
 
@@ -80,7 +81,7 @@ static int open_port(dpm_segment *segment, struct hub_port *port)
         ptsname_r(port->master, port->path, sizeof port->path))
         return DPM_E_SYSTEM;
     port->slave = open(port->path, O_RDWR | O_NOCTTY | O_NONBLOCK | O_CLOEXEC);
-    if (port->slave < 0 || make_raw(port->slave))
+    if (port->slave < 0 || make_raw(port->slave) || !dpm_pty_claim(port->slave, DPM_PTY_WRITES_MARKS, true))
         return DPM_E_SYSTEM;
     port->watch = inotify_add_watch(segment->presence, port->path, IN_OPEN | IN_CLOSE);
     return port->watch < 0 ? DPM_E_SYSTEM : DPM_OK;
@@ -142,11 +143,17 @@ static void write_now(dpm_segment *segment, struct hub_port *port, const uint8_t
         segment->info.undelivered += n - (written > 0 ? (size_t)written : 0);
 }
 
-static void write_port(dpm_segment *segment, struct hub_port *port, const uint8_t *octets, size_t n)
+/* `errors`, or NULL: a reader that knows no marks has the octets alone, as from a UART whose INPCK is off. */
+static void write_port(dpm_segment *segment, struct hub_port *port, const uint8_t *octets, const uint8_t *errors, size_t n)
 {
     const int64_t chunk = segment->wire.faults.chunk;
+    uint8_t marked[3 * DPM_WIRE_OCTETS];
     if (!port->clients || port->cut)
         return;
+    if ((errors || memchr(octets, 0xFF, n)) && dpm_pty_claimed(port->slave, DPM_PTY_READS_MARKS)) {
+        n = dpm_mark(octets, errors, n, marked);
+        octets = marked;
+    }
     if (!chunk) {
         write_now(segment, port, octets, n);
         return;
@@ -181,11 +188,12 @@ static void hand_over(dpm_segment *segment)
 }
 
 /* Octets that ended at `first` .. `last` reach everybody but their source. */
-static void deliver(dpm_segment *segment, unsigned source, const uint8_t *octets, size_t n, int64_t first, int64_t last)
+static void deliver(dpm_segment *segment, unsigned source, const uint8_t *octets, const uint8_t *errors, size_t n,
+                    int64_t first, int64_t last)
 {
     segment->info.deliveries++;
     if (segment->machine && source != slaves_source(segment)) {
-        dpm_span span = {.octets = octets, .n = n};
+        dpm_span span = {.octets = octets, .errors = errors, .n = n};
         /* Of transmissions that overlapped, the second one began before the first was told. */
         span.earliest = span.latest = first > segment->told ? first : segment->told;
         span.spacing = n > 1 && last > span.latest ? (last - span.latest) / (int64_t)(n - 1) : 0;
@@ -194,7 +202,7 @@ static void deliver(dpm_segment *segment, unsigned source, const uint8_t *octets
     }
     for (unsigned i = 0; i < segment->config.ports; i++)
         if (i != source || segment->config.echo)
-            write_port(segment, &segment->ports[i], octets, n);
+            write_port(segment, &segment->ports[i], octets, errors, n);
 }
 
 /* A source whose flights are all under way is not read: its octets wait in the pty, as in a UART's buffer. */
@@ -215,27 +223,29 @@ static void deliver_due(dpm_segment *segment)
         segment->info.late_max = late > segment->info.late_max ? late : segment->info.late_max;
         segment->info.late_sum += late;
         int64_t first = flight->due - dpm_wire_time(&segment->wire, flight->n - 1u);
-        deliver(segment, source, flight->heard, flight->n, first, flight->due);
+        deliver(segment, source, flight->heard, flight->bad ? flight->errors : NULL, flight->n, first, flight->due);
     }
 }
 
 /* Puts octets on the wire and returns when they begin. */
 static int64_t talk(dpm_segment *segment, unsigned source, int64_t now, const uint8_t *octets, size_t n)
 {
-    uint8_t damaged[3 * DPM_WIRE_PUT];
+    uint8_t damaged[3 * DPM_WIRE_PUT], marks[3 * DPM_WIRE_PUT];
+    const uint8_t *errors = NULL;
     dpm_wire *wire = &segment->wire;
     if (wire->faulty) {
-        n = dpm_wire_damage(wire, octets, n, damaged);
+        n = dpm_wire_damage(wire, octets, n, damaged, marks);
         octets = damaged;
+        errors = marks;
     }
     if (!dpm_wire_direct(wire)) {
-        now = dpm_wire_put(wire, source, now, octets, n);
+        now = dpm_wire_put(wire, source, now, octets, errors, n);
         if (source != slaves_source(segment))
             admit(segment, source);
     } else if (n) {
         wire->transmissions++;
         wire->octets += n;
-        deliver(segment, source, octets, n, now, now);
+        deliver(segment, source, octets, errors, n, now, now);
     }
     return now;
 }
@@ -578,7 +588,7 @@ static int do_faults(void *object, void *argument)
 int dpm_segment_set_faults(dpm_segment *segment, const dpm_segment_faults *faults)
 {
     dpm_segment_faults copy = *faults;
-    const uint32_t chances[] = {copy.lose, copy.flip, copy.insert, copy.duplicate, copy.lose_telegram};
+    const uint32_t chances[] = {copy.lose, copy.flip, copy.parity, copy.insert, copy.duplicate, copy.lose_telegram};
     for (size_t i = 0; i < sizeof chances / sizeof *chances; i++)
         if (chances[i] > 1000000)
             return DPM_E_ARGUMENT;

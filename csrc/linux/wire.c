@@ -21,7 +21,8 @@ void dpm_wire_init(dpm_wire *wire, const dpm_parameters *rate, bool paced, dpm_l
 void dpm_wire_set_faults(dpm_wire *wire, const dpm_segment_faults *faults)
 {
     wire->faults = *faults;
-    wire->faulty = faults->lose || faults->flip || faults->insert || faults->duplicate || faults->lose_telegram;
+    wire->faulty = faults->lose || faults->flip || faults->parity || faults->insert || faults->duplicate ||
+                   faults->lose_telegram;
     wire->octet_draws = faults->seed;
     wire->telegram_draws = ~faults->seed;
 }
@@ -44,7 +45,7 @@ bool dpm_wire_room(const dpm_wire *wire, unsigned source)
     return wire->lane[source].count < DPM_WIRE_FLIGHTS;
 }
 
-size_t dpm_wire_damage(dpm_wire *wire, const uint8_t *octets, size_t n, uint8_t *out)
+size_t dpm_wire_damage(dpm_wire *wire, const uint8_t *octets, size_t n, uint8_t *out, uint8_t *errors)
 {
     const dpm_segment_faults *faults = &wire->faults;
     size_t left = 0;
@@ -52,10 +53,12 @@ size_t dpm_wire_damage(dpm_wire *wire, const uint8_t *octets, size_t n, uint8_t 
         wire->touched++;
         return 0;
     }
+    memset(errors, 0, 3 * n);
     for (size_t i = 0; i < n; i++) {
-        /* Four draws for each octet, whatever they bring: the faults of one octet do not move those of the next. */
+        /* Five draws for each octet, whatever they bring: the faults of one octet do not move those of the next. */
         uint64_t insert = dpm_draw(&wire->octet_draws), lose = dpm_draw(&wire->octet_draws);
-        uint64_t flip = dpm_draw(&wire->octet_draws), duplicate = dpm_draw(&wire->octet_draws);
+        uint64_t flip = dpm_draw(&wire->octet_draws), parity = dpm_draw(&wire->octet_draws);
+        uint64_t duplicate = dpm_draw(&wire->octet_draws);
         if (dpm_hit(insert, faults->insert)) {
             out[left++] = (uint8_t)insert;
             wire->touched++;
@@ -69,9 +72,15 @@ size_t dpm_wire_damage(dpm_wire *wire, const uint8_t *octets, size_t n, uint8_t 
             out[left] ^= (uint8_t)(1u << (flip & 7));
             wire->touched++;
         }
+        if (dpm_hit(parity, faults->parity)) {
+            out[left] ^= (uint8_t)(1u << (parity & 7));
+            errors[left] = DPM_LINE_PARITY;
+            wire->touched++;
+        }
         left++;
         if (dpm_hit(duplicate, faults->duplicate)) {
             out[left] = out[left - 1];
+            errors[left] = errors[left - 1];
             left++;
             wire->touched++;
         }
@@ -83,11 +92,11 @@ static void collided(dpm_wire *wire, dpm_flight *flight)
 {
     if (!flight->collided)
         wire->collisions++;
-    flight->collided = true;
+    flight->collided = flight->bad = true;
 }
 
 /* Octets `from`.. of `a` against all of `b`: where two octets share time, both are heard as what two drivers leave of
- * them, here the AND, which is the same whichever came first. */
+ * them, here the AND, which is the same whichever came first, with a line error. */
 static void garble(dpm_wire *wire, dpm_flight *a, size_t from, dpm_flight *b)
 {
     int64_t character = dpm_wire_time(wire, 1);
@@ -102,6 +111,7 @@ static void garble(dpm_wire *wire, dpm_flight *a, size_t from, dpm_flight *b)
                 continue;
             a->heard[i] &= b->octets[j];
             b->heard[j] &= a->octets[i];
+            a->errors[i] = b->errors[j] = DPM_LINE_PARITY;
             collided(wire, a);
             collided(wire, b);
         }
@@ -125,7 +135,7 @@ static bool continues(const dpm_wire *wire, const dpm_lane *lane, int64_t now, s
     return lane->flights[(lane->first + lane->count - 1) % DPM_WIRE_FLIGHTS].n + n <= DPM_WIRE_OCTETS;
 }
 
-int64_t dpm_wire_put(dpm_wire *wire, unsigned source, int64_t now, const uint8_t *octets, size_t n)
+int64_t dpm_wire_put(dpm_wire *wire, unsigned source, int64_t now, const uint8_t *octets, const uint8_t *errors, size_t n)
 {
     dpm_lane *lane = &wire->lane[source];
     int64_t start = now > lane->free ? now : lane->free;
@@ -137,13 +147,16 @@ int64_t dpm_wire_put(dpm_wire *wire, unsigned source, int64_t now, const uint8_t
     if (!more) {
         flight->start = start;
         flight->n = 0;
-        flight->collided = false;
+        flight->collided = flight->bad = false;
         wire->waiting++;
         wire->transmissions++;
     }
     size_t from = flight->n;
     memcpy(flight->octets + from, octets, n);
     memcpy(flight->heard + from, octets, n);
+    memset(flight->errors + from, 0, n);
+    for (size_t i = 0; errors && i < n; i++)
+        flight->bad |= (flight->errors[from + i] = errors[i]);
     flight->n = (uint16_t)(from + n);
     flight->end = lane->free = flight->start + dpm_wire_time(wire, flight->n);
     flight->due = flight->end + wire->faults.delay;

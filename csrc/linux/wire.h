@@ -21,8 +21,10 @@ typedef struct dpm_flight {
     int64_t due;   /* when it is delivered: its end, later by the fault "delay" */
     uint16_t n;
     bool collided;
+    bool bad;      /* any of `errors` */
     uint8_t octets[DPM_WIRE_OCTETS]; /* as they were sent */
     uint8_t heard[DPM_WIRE_OCTETS];  /* as everybody hears them */
+    uint8_t errors[DPM_WIRE_OCTETS]; /* line errors with that, enum dpm_line_error */
 } dpm_flight;
 
 /* One source's transmissions, in their order: a source cannot talk over itself. */
@@ -61,11 +63,12 @@ bool dpm_wire_direct(const dpm_wire *wire);
 /* The source may put up to DPM_WIRE_PUT octets. */
 bool dpm_wire_room(const dpm_wire *wire, unsigned source);
 
-/* n <= DPM_WIRE_PUT octets as the faults leave them, at most 3 n; counts them. Returns how many are left. */
-size_t dpm_wire_damage(dpm_wire *wire, const uint8_t *octets, size_t n, uint8_t *out);
-/* Put n octets (after damage) of `source` on the wire at `now`: they follow its last transmission, as part of it while
- * that is still on the wire. Returns their start. Needs dpm_wire_room. */
-int64_t dpm_wire_put(dpm_wire *wire, unsigned source, int64_t now, const uint8_t *octets, size_t n);
+/* n <= DPM_WIRE_PUT octets as the faults leave them, at most 3 n, with their line errors; counts them. Returns how many are
+ * left. */
+size_t dpm_wire_damage(dpm_wire *wire, const uint8_t *octets, size_t n, uint8_t *out, uint8_t *errors);
+/* Put n octets (after damage, with their line errors or NULL) of `source` on the wire at `now`: they follow its last
+ * transmission, as part of it while that is still on the wire. Returns their start. Needs dpm_wire_room. */
+int64_t dpm_wire_put(dpm_wire *wire, unsigned source, int64_t now, const uint8_t *octets, const uint8_t *errors, size_t n);
 
 /* When the next transmission is to be delivered, DPM_NEVER. */
 int64_t dpm_wire_due(const dpm_wire *wire);

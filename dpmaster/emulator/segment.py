@@ -122,15 +122,17 @@ class Segment(Host):
             self._ports.append(PortPath(path, index, self.baudrate is not None, self._rate))
             return self._ports[index]
 
-    def faults(self, *, seed: int = 0, lose: float = 0.0, flip: float = 0.0, insert: float = 0.0, duplicate: float = 0.0,
-               lose_telegram: float = 0.0, delay: float = 0.0, chunk: float = 0.0) -> None:
+    def faults(self, *, seed: int = 0, lose: float = 0.0, flip: float = 0.0, parity: float = 0.0, insert: float = 0.0,
+               duplicate: float = 0.0, lose_telegram: float = 0.0, delay: float = 0.0, chunk: float = 0.0) -> None:
         """Make faults from now on, or with no argument none. Chances are per octet (`lose_telegram`: per transmission),
-        0.0 to 1.0; `delay` in seconds, 0 to 10, is added to every delivery; ports' readers have octets only every `chunk` s, as
-        USB adapters deliver them (0.001, 0.016), attached cards at once. The same seed and the same octets give the same
-        faults."""
+        0.0 to 1.0. `flip` changes a bit and the parity bit with it, so no receiver's UART notices; `parity` changes a bit that
+        it does notice: our ports and cards have a line error, foreign programs a wrong octet. `delay` in seconds, 0 to 10, is
+        added to every delivery; ports' readers have octets only every `chunk` s, as USB adapters deliver them (0.001, 0.016),
+        attached cards at once. The same seed and the same octets give the same faults."""
         self._guard()
         faults = ffi.new("dpm_segment_faults *", {"seed": seed & 0xFFFF_FFFF_FFFF_FFFF})
-        chances = {"lose": lose, "flip": flip, "insert": insert, "duplicate": duplicate, "lose_telegram": lose_telegram}
+        chances = {"lose": lose, "flip": flip, "parity": parity, "insert": insert, "duplicate": duplicate,
+                   "lose_telegram": lose_telegram}
         for name, chance in chances.items():
             if not number(chance) or not 0.0 <= chance <= 1.0:
                 raise ConfigurationError(f"{name} {chance!r}: a chance is 0.0 to 1.0")

@@ -25,7 +25,8 @@ typedef struct dpm_segment_config {
 typedef struct dpm_segment_faults {
     uint64_t seed;
     uint32_t lose;
-    uint32_t flip;             /* one bit of the octet */
+    uint32_t flip;             /* one bit of the octet and the parity bit: no line error tells */
+    uint32_t parity;           /* one bit of the octet: the receiver sees that its parity is wrong */
     uint32_t insert;           /* a random octet before this one */
     uint32_t duplicate;
     uint32_t lose_telegram;    /* per million transmissions: all of it */

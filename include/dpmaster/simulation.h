@@ -46,6 +46,7 @@ typedef struct dpm_simulation_faults {
     uint64_t seed;
     uint32_t lose;          /* an octet: its time stays empty */
     uint32_t flip;          /* one bit and the parity bit: no line error tells */
+    uint32_t parity;        /* one bit: a line error tells */
     uint32_t insert;        /* a random octet before this one; what follows comes one character later */
     uint32_t duplicate;
     uint32_t lose_telegram;
