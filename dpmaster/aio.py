@@ -68,6 +68,7 @@ class Worker:
                     await asyncio.wait({done})
                 except asyncio.CancelledError:
                     continue
+            done.exception()  # looked at, or asyncio logs that nobody has
             raise
         finally:
             del done  # it holds the error, which holds this frame

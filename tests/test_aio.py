@@ -5,6 +5,7 @@ loop that hangs lets the output watchdog run out."""
 from __future__ import annotations
 
 import asyncio
+import gc
 import inspect
 import logging
 import threading
@@ -177,8 +178,9 @@ def test_every_method_that_waits_is_listed(of: type, face: type) -> None:
     lambda m, s: m.aio.operate(timeout=None),
 ])
 def test_a_cancelled_await_leaves_no_thread_and_no_request(master: Master, station: Station,
-                                                           ask: Callable[..., Coroutine[Any, Any, Any]]) -> None:
-    """The await ends when its thread has ended what it did, so there is nobody left waiting then."""
+                                                           ask: Callable[..., Coroutine[Any, Any, Any]],
+                                                           caplog: pytest.LogCaptureFixture) -> None:
+    """The await ends when its thread has ended what it did, so there is nobody left waiting then, and nothing to log."""
     master.add(Station(6, IDENT, CONFIGURATION))  # nobody is there
 
     async def program() -> None:
@@ -198,6 +200,8 @@ def test_a_cancelled_await_leaves_no_thread_and_no_request(master: Master, stati
         assert (await master.aio.request(5, "FDL_STATUS")).ok  # what was asked is taken back: the place is free
 
     asyncio.run(program())
+    gc.collect()
+    assert not [record for record in caplog.records if record.name == "asyncio"]
 
 
 def test_a_cancelled_await_ends_behind_its_call(master: Master, station: Station) -> None:
