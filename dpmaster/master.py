@@ -100,13 +100,14 @@ class _Named(Log):
         return f"{self.extra['who'] if self.extra else ''}: {msg}", kwargs
 
 
-@atexit.register
 def _close_all() -> None:
     """Stop words, Clear and unlock while there is an interpreter to say them."""
     for master in list(_live):
         if master._bus.process.here:
             try:
                 master.close()
+            except KeyboardInterrupt:  # it has skipped what it may skip of this one, and nothing of the next
+                continue
             except Exception:
                 master._log.exception("closing it at exit")
 
@@ -178,6 +179,8 @@ class Master(Services):
             self._bus.close()
             raise
         _live.add(self)
+        atexit.unregister(_close_all)
+        atexit.register(_close_all)  # the last is the first: before the segment goes that was opened before
 
     @staticmethod
     def check_options(address: int = 1, *, parameters: BusParameters | None = None, cycle_time: float | None = None,

@@ -384,6 +384,17 @@ def test_a_forked_child_may_not_touch_the_bus(master: Master) -> None:
     assert master.wait_cycle() > cycle
 
 
+def test_an_open_master_ends_before_the_segment_it_is_on() -> None:
+    """At an interactive prompt nobody writes `with`: the drive stops, and nobody sees the port vanish."""
+    program = ("from dpmaster import Master; from dpmaster.drives import YaskawaV7; from dpmaster.emulator import Segment\n"
+               "from dpmaster.emulator.cards import SIP1\n"
+               "wire = Segment(); card = wire.attach(SIP1(5)); master = Master(wire.port()); drive = master.add(YaskawaV7(5))\n"
+               "master.operate(20.0); drive.run(5.0)\n"
+               "card.detached = lambda: print(card.running)\n")
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "False\n", "")
+
+
 def test_the_interpreter_ends_with_an_open_master(wire: Wire) -> None:
     program = f"""
 from dpmaster import Master, Station
