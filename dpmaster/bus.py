@@ -153,7 +153,7 @@ class Bus:
             raise ConfigurationError(f"profile {profile!r}: 'uart', 'usb', 'pty', or None to go by the path")
         if echo not in (None, False, True):
             raise ConfigurationError(f"echo {echo!r}: True, False, or None to find it out")
-        if allowance:
+        if allowance is not None and allowance != 0:
             _arguments.seconds("allowance", allowance, 1, ", 0, or None for the profile's own")
         self.scheduling = Scheduling()
         self._realtime = wished(realtime)

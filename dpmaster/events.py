@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dpmaster import _core
+from dpmaster import _arguments, _core
 from dpmaster._core import NS, ffi, lib
 from dpmaster._names import Named
 from dpmaster.bus import FdlState, Feed, Mode
@@ -115,8 +115,8 @@ class Events:
     """A subscription. Any thread may take; each event is given once. Made by `Master.events`."""
 
     def __init__(self, bus: Bus, size: int) -> None:
-        if not 2 <= size <= 65536 or size & (size - 1):
-            raise ConfigurationError(f"room for {size} events: a power of two from 2 to 65536")
+        if _arguments.whole("size", size, 2, 65536, " events, a power of two") & (size - 1):
+            raise ConfigurationError(f"size {size}: a power of two from 2 to 65536")
         self._process = bus.process
         self._bus = weakref.ref(bus)  # the bus keeps us; a bus that nobody else keeps shall go
         self._memory = _core.block(lib.dpm_ring_size(size))
@@ -159,6 +159,7 @@ class Events:
 
         Raises ClosedError when the subscription or its master is closed, also while waiting. Does not feed the output watchdog.
         """
+        _arguments.timeout(timeout)
         deadline = None if timeout is None else time.monotonic() + timeout
         while True:
             event = self._take()

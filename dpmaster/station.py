@@ -167,11 +167,16 @@ class Station:
         return GSDStation(gsd, address, modules, parameters, **options)
 
     def _check(self) -> None:
+        if not isinstance(self.name, str):
+            raise ConfigurationError(f"name {self.name!r}: give a text")
+        for name in ("sync", "freeze", "fail_safe", "check_ident", "active"):
+            if getattr(self, name) not in (False, True):
+                raise ConfigurationError(f"{name} {getattr(self, name)!r}: True or False")
         _arguments.whole("group", self.group, 0, 255)
         for name, value in (("diagnosis_poll", self.diagnosis_poll), ("ready_timeout", self.ready_timeout)):
             if value is not None and (not _arguments.number(value) or not 0.01 <= value <= 3600):
                 raise ConfigurationError(f"{name} {value!r} s: 0.01 to 3600 s, or None")
-        if self.min_tsdr:
+        if self.min_tsdr != 0:
             _arguments.whole("min_tsdr", self.min_tsdr, 11, 255, " Tbit, or 0 to leave the slave's own")
         if self.resume not in ("safe", "hold"):
             raise ConfigurationError(f"resume {self.resume!r}: 'safe' or 'hold'")
@@ -340,6 +345,7 @@ class Station:
         if not isinstance(offset, int) or offset < 0 or offset + len(data) > self.output_length:
             raise ConfigurationError(f"{self.name} has output octets 0 to {self.output_length - 1}; {len(data)} octets at "
                                      f"offset {offset!r} do not fit")
+        keep = _arguments.octets(f"{self.name}: keep", keep, 0, lib.DPM_IO_MAX)
         if len(keep) not in (0, len(data)):
             raise ConfigurationError(f"{self.name}: a mask of {len(keep)} octets for {len(data)} octets: as many, or none")
         with self._commit_lock:
@@ -357,7 +363,7 @@ class Station:
         when the port is the reason; ClosedError.
         """
         master = self._owner()
-        if not isinstance(number, int):
+        if not isinstance(number, int) or not 0 < number < 1 << 63:
             raise ConfigurationError(f"{self.name}: commit {number!r}: give a number that update() returned")
         result: int | None = master._bus.wait(lambda: lib.dpm_outputs_was_sent(self._outputs, number) or None, timeout)
         if result is None:
@@ -425,20 +431,22 @@ class Station:
             master._settle_watchdogs()
             master._bus.activate(self._index, True)
 
-    def deactivate(self, timeout: float = 1.0) -> None:
+    def deactivate(self, timeout: float | None = 1.0) -> None:
         """Take it out of the cycle, where it stays listed, for services by hand: stop word, safe outputs, Unlock.
 
         The others' exchange goes on. Raises DPTimeout when that took more than `timeout` s and a cycle time, ClosedError.
         """
         master = self._owner()
+        _arguments.timeout(timeout)
         master._rest(self)
         self._active = False
         if self._index is None:
             return
         master._bus.activate(self._index, False)
-        within = timeout + (master.cycle_time or 0)  # its turn to be released comes with the next cycle
+        # Its turn to be released comes with the next cycle.
+        within = None if timeout is None else timeout + (master.cycle_time or 0)
         if master._bus.wait(lambda: True if self.state == StationState.INACTIVE else None, within) is None:
-            raise DPTimeout(f"{self.name} was not released in {within:g} s; {self._standing(master)}")
+            raise DPTimeout(f"{self.name} was not released in {within} s; {self._standing(master)}")
         master._settle_watchdogs()
 
     def reparameterise(self, user_parameters: bytes | None = None, timeout: float = 5.0) -> None:

@@ -173,6 +173,8 @@ STATION: list[tuple[str, Any, str]] = [
       for value in (0, -1, 651, float("nan"), "off", True, [1])),
     ("min_tsdr", 10, "min_tsdr 10|11 to 255"), ("max_tsdr", 60, "max_tsdr 60|mapping"),
     ("max_tsdr", {9600: 5000}, "max_tsdr at 9600 bit/s 5000|37 to 1023"), ("group", 256, "group 256|0 to 255"),
+    ("min_tsdr", None, "min_tsdr None|11 to 255"), ("name", 5, "name 5|text"),
+    *((flag, "yes", f"{flag} 'yes'|True or False") for flag in ("sync", "freeze", "fail_safe", "check_ident", "active")),
     ("resume", "run", "resume 'run'|'safe' or 'hold'"), ("min_slave_interval", 65536, "min_slave_interval 65536|0 to 65535"),
 ]
 
@@ -189,7 +191,7 @@ MASTER: list[tuple[str, Any, str]] = [
     *(("output_watchdog", value, f"output_watchdog {value!r}|above 0|3600 s|None") for value in (0, -1, 3601, "1", True)),
     *(("cycle_time", value, f"cycle_time {value!r}|above 0|10 s|None") for value in (0, 11, "1")),
     ("max_stations", 127, "max_stations 127|1 to 126"), ("profile", "rs232", "profile 'rs232'|'uart', 'usb', 'pty'"),
-    ("allowance", 2, "allowance 2|1 s"), ("allowance", -1, "allowance -1|1 s"), ("echo", "yes", "echo 'yes'|True, False"),
+    *(("allowance", value, f"allowance {value!r}|1 s") for value in (2, -1, [])), ("echo", "yes", "echo 'yes'|True, False"),
     ("parameters", 5, "parameters 5|BusParameters"),
 ]
 
@@ -230,7 +232,10 @@ def test_commits_that_do_not_fit(drive: YaskawaV7) -> None:
     for wrong in ("ab", 5, None, [256], [-1], [1.0]):  # 5 is not five zeros
         refused(ConfigurationError, f"fan: outputs {wrong!r}|bytes|0 to 255", drive.update, 0, wrong)
     refused(ConfigurationError, "fan: commit 1000|never made|update()", drive.wait_sent, 1000)
-    refused(ConfigurationError, "fan: commit 'x'|update()", drive.wait_sent, "x")
+    for number in ("x", -1, 10**30):
+        refused(ConfigurationError, f"fan: commit {number!r}|update()", drive.wait_sent, number)
+    refused(ConfigurationError, "fan: keep 5|bytes", drive.update, 0, b"a", 5)
+    refused(ConfigurationError, "timeout 'x'|seconds, or None", drive.deactivate, "x")
     refused(ConfigurationError, "timeout 'x'|seconds, or None", drive.wait, lambda frame: False, "x")
     assert drive.outputs == before == bytes(32)
 
@@ -331,6 +336,10 @@ def test_too_early(master: Master) -> None:
         refused(ConfigurationError, "fan belongs to no master|master.add(station) first", call)
     master.add(drive)
     refused(NotOperatingError, "the bus has not begun|operate()", master.wait_cycle)
+    for size in ("x", 0, 3):
+        refused(ConfigurationError, f"size {size!r}|power of two", master.events, size)
+    with master.events() as events:
+        refused(ConfigurationError, "timeout 'x'|seconds, or None", events.take, "x")
     refused(DPTimeout, "fan|the master has not begun|operate() first", drive.read_parameter, "n003", timeout=0.01)
     with pytest.raises(DPTimeout, match=r"fan \(address 5\) does not answer"):
         master.operate(timeout=0.1)

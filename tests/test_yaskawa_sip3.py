@@ -711,3 +711,15 @@ def test_how_many_requests_a_second(configuration: str, cycle: float) -> None:
     print(f"{configuration}: cycle {cycle * 1000:g} ms, {1 / took:.1f} requests/s, {took / cycle:.1f} cycles each")
     assert took <= (CYCLES[configuration] + 1) * cycle + CARD
     assert took >= 3 * cycle, "no answer can be quicker than its handshake"
+
+
+@pytest.mark.parametrize(("call", "text"), [
+    (lambda drive: drive.read_pnu("P904"), "PKW pnu 'P904': 0 to 2047"),
+    (lambda drive: drive.read_pnu(915, 1.0), "PKW index 1.0: 0"),
+    (lambda drive: drive.write_pnu(915, "5", 3), "PKW value '5': 0 to"),
+    (lambda drive: drive.read_registers(1, "2"), "count '2': 1 to 65535 registers"),
+    (lambda drive: drive.write_register("C1-01", 2.5), "register 'C1-01' 2.5: 0 to 65535")])
+def test_what_is_no_number_is_refused_in_words(call: Callable[[Any], Any], text: str) -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        call(bench("PPO Type 2"))
+    assert str(caught.value).startswith(text)

@@ -584,6 +584,7 @@ class YaskawaSIP3(Drive[SIP3Status]):
     def read_registers(self, register: int | str, count: int, *, timeout: float = _ANSWERED) -> tuple[int, ...]:
         """`count` registers from `register` on, with as few requests as the configuration allows (4, 1 or 1 at a time)."""
         first = self.table.register(register)
+        _arguments.whole("count", count, 1, 0xFFFF, " registers")
         channel = self._need_channel("registers")
         if isinstance(channel, PKWChannel):
             return tuple(self.read_pnu(profile.PNU_REGISTERS, first + n, timeout=timeout) for n in range(count))
@@ -596,7 +597,7 @@ class YaskawaSIP3(Drive[SIP3Status]):
     def write_register(self, register: int | str, value: int | Sequence[int], *, timeout: float = _ANSWERED) -> None:
         """Write a register, or several from there on; a parameter's comes into force with `enter`."""
         first = self.table.register(register)
-        values = [value] if isinstance(value, int) else list(value)
+        values = list(value) if isinstance(value, Iterable) else [value]
         words = [_arguments.whole(f"register {register!r}", word, 0, 0xFFFF) for word in values]
         channel = self._need_channel("registers")
         while words:

@@ -3,7 +3,8 @@
 
 Eight octets each way: PKE (identifier, SPM, parameter number), IND (sub-index), PWE (value). One task at a time: the
 master holds its task until the answer is there, the slave holds its answer until another task comes, and task 0 between
-two tasks tells them apart. Neither end knows a bus or a clock; touches nothing but `dpmaster.errors`.
+two tasks tells them apart. Neither end knows a bus or a clock; touches nothing but `dpmaster.errors`
+and the checks of arguments.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from enum import IntEnum
 from types import MappingProxyType
 from typing import Literal, NamedTuple, Protocol
 
-from dpmaster.errors import ConfigurationError, DPError
+from dpmaster import _arguments
+from dpmaster.errors import DPError
 
 LENGTH = 8
 """Octets of the channel, the same in both directions."""
@@ -131,9 +133,8 @@ class Message:
         """The octets. ConfigurationError names what does not fit."""
         limits = {"identifier": 15, "pnu": LAST_PNU, "index": 0xFFFF if index_size == "word" else 0xFF, "value": 0xFFFF_FFFF}
         for name, most in limits.items():
-            if not 0 <= getattr(self, name) <= most:
-                raise ConfigurationError(f"PKW {name} {getattr(self, name)!r}: 0 to {most}" +
-                                         (" with a sub-index of one byte" if name == "index" else ""))
+            _arguments.whole(f"PKW {name}", getattr(self, name), 0, most,
+                             " with a sub-index of one byte" if name == "index" and most == 0xFF else "")
         index = self.index if index_size == "word" else self.index << 8
         pke = self.identifier << 12 | self.spm << 11 | self.pnu
         return pke.to_bytes(2, "big") + index.to_bytes(2, "big") + self.value.to_bytes(4, "big")
