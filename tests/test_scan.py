@@ -136,7 +136,7 @@ def test_a_slave_far_away_is_found_with_the_allowance_it_needs(wire: Segment, ca
 def test_json(wire: Segment, capsys: pytest.CaptureFixture[str]) -> None:
     wire.attach(SIP1(address=5))
     port = wire.port()
-    assert cli.main(["scan", port, "--hsa", "8", "--address", "3", "--json"]) == 0
+    assert cli.main(["scan", port, "--hsa", "8", "--master", "3", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {
         "port": port, "baudrate": 500_000, "address": 3, "foreign_master": None, "unknown": [],
         "stations": [{"address": 5, "kind": "slave", "ident_number": IDENT, "name": "Yaskawa V7, SI-P1"}]}
@@ -160,7 +160,7 @@ def test_on_a_bus_with_a_master_it_only_listens(wire: Segment, capsys: pytest.Ca
     assert "? not heard   s slave   M master in the ring" in out
 
 
-@pytest.mark.parametrize("argv", [["--hsa", "127"], ["--address", "126"], ["--hsa", "x"], []])
+@pytest.mark.parametrize("argv", [["--hsa", "127"], ["--master", "126"], ["--hsa", "x"], []])
 def test_wrong_arguments_are_usage(argv: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as left:
         cli.main(["scan", *(["/dev/null", *argv] if argv else [])])

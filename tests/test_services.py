@@ -578,8 +578,8 @@ def test_a_technician_reads_images(cards: list[Echo], wire: Segment, capsys: pyt
         assert "61 62 63 64" in printed(capsys, f"read-{what}", port, "5")
         assert json.loads(printed(capsys, f"read-{what}", port, "5", "--json"))[what] == "61626364"
     assert "sync sent to group 1 and 3 as master 1" in printed(
-        capsys, "control", port, "--address", "1", "--sync", "--group", "3", "--group", "1")
-    assert json.loads(printed(capsys, "control", port, "--address", "1", "--clear", "--station", "5", "--json"))["station"] == 5
+        capsys, "control", port, "--master", "1", "--sync", "--group", "3", "--group", "1")
+    assert json.loads(printed(capsys, "control", port, "--master", "1", "--clear", "--station", "5", "--json"))["station"] == 5
     until(lambda: wire.report(cards[0]).clear)
     assert "00 00 00 00" in printed(capsys, "read-outputs", port, "5"), "the slave obeyed its master's address"
 

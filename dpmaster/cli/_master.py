@@ -58,8 +58,8 @@ def add_allowance(parser: argparse.ArgumentParser) -> None:
 def add_port(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("port", metavar="PORT", help="path of a serial port or of a segment's port")
     parser.add_argument("--baudrate", type=int, default=RATE, metavar="B", help=f"bit/s (default {RATE})")
-    parser.add_argument("--address", type=whole(HIGHEST), default=0, metavar="A",
-                        help="this program's own on the bus, which no other station may have (default 0)")
+    parser.add_argument("--master", type=whole(HIGHEST), default=0, metavar="A",
+                        help="this program's own address, which no other station may have (default 0)")
     add_allowance(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
@@ -72,7 +72,7 @@ def add_station(parser: argparse.ArgumentParser) -> None:
 
 def opened(args: argparse.Namespace) -> Master:
     """The master of a command that asks stations and starts none."""
-    return Master(args.port, args.baudrate, args.address, output_watchdog=None, allowance=args.allowance)
+    return Master(args.port, args.baudrate, args.master, output_watchdog=None, allowance=args.allowance)
 
 
 def device(ident_number: int) -> str:

@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("port", metavar="PORT", help="path of a serial port or of a segment's port")
     parser.add_argument("--baudrate", type=int, default=500_000, metavar="B", help="bit/s (default 500000)")
     parser.add_argument("--station", type=int, metavar="N", help="the slave to ask (default: the echo, or the first slave)")
-    parser.add_argument("--address", type=int, default=1, metavar="A", help="this program's own on the bus (default 1)")
+    parser.add_argument("--master", type=int, default=1, metavar="A", help="this program's own address (default 1)")
     parser.add_argument("--count", type=int, default=300, metavar="N", help="how many requests (default 300)")
     parser.add_argument("--direction", choices=["rs485", "rs485-inverted"], help="the driver switches the direction")
     parser.add_argument("--output", metavar="FILE", help="write the result, for Calibration.load(FILE).allowance")
@@ -48,7 +48,7 @@ def text(found: Calibration) -> str:
 
 
 def run(args: argparse.Namespace) -> int:
-    found = calibrate(args.port, args.baudrate, address=args.address, station=args.station, count=args.count,
+    found = calibrate(args.port, args.baudrate, address=args.master, station=args.station, count=args.count,
                       direction=args.direction, said=lambda words: print(words, file=sys.stderr))
     print(json.dumps({**asdict(found), "ring_rates": found.ring_rates}) if args.json else text(found))
     if args.output:

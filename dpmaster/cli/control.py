@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """``dpmaster control PORT --freeze``: one Global_Control telegram, to all stations, a group or one.
 
-Slaves obey it only from the address of the master that parameterised them (--address), while they exchange data: it is for
+Slaves obey it only from the address of the master that parameterised them (--master), while they exchange data: it is for
 benches and for slaves whose master has fallen silent. A program with a Master of its own uses `global_control`.
 """
 
@@ -41,8 +41,8 @@ def run(args: argparse.Namespace) -> int:
                               clear=args.clear or None, group=group, station=args.station)
     groups = f"group {' and '.join(map(str, sorted(set(args.group))))}" if group else "all stations"
     whom = groups if args.station is None else f"station {args.station}"
-    common.show(args, {"commands": said, "group_select": group, "station": args.station, "address": args.address},
-                f"{', '.join(said)} sent to {whom} as master {args.address}; nobody answers Global_Control")
+    common.show(args, {"commands": said, "group_select": group, "station": args.station, "address": args.master},
+                f"{', '.join(said)} sent to {whom} as master {args.master}; nobody answers Global_Control")
     return 0
 
 

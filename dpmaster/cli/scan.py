@@ -117,12 +117,12 @@ def listening(args: argparse.Namespace, seconds: float) -> Iterator[Picture]:
 
 def asking(args: argparse.Namespace) -> Iterator[Picture]:
     """Pictures of a bus that has no master but us; they end when one is heard."""
-    with Master(args.port, args.baudrate, args.address, ring=False, allowance=args.allowance) as master:
+    with Master(args.port, args.baudrate, args.master, ring=False, allowance=args.allowance) as master:
         while True:
             found = master.live_list(identify=True, refresh=True, highest=args.hsa)
             if master.statistics.foreign is not None:
                 return
-            yield Picture(found, args.address, None)
+            yield Picture(found, args.master, None)
             master.feed()
             time.sleep(PAUSE)
 
