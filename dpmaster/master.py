@@ -73,16 +73,16 @@ class MasterStatistics:
     requests: int
     answers: int
     repetitions: int
-    unanswered: int
-    abandoned: int
+    unanswered: int  # requests given up after all tries
+    abandoned: int  # requests withdrawn, or under way when the token or the bus was lost
     sdn: int
-    tokens: int
-    late_dropped: int
-    stray: int
-    foreign_telegrams: int
+    tokens: int  # sent
+    late_dropped: int  # telegrams not sent, as the host was late
+    stray: int  # good telegrams that were nobody's: late, doubled, foreign answers
+    foreign_telegrams: int  # tokens and requests of other masters
     send_failed: int
-    tokens_lost: int
-    token_repetitions: int
+    tokens_lost: int  # given up after our own silence
+    token_repetitions: int  # sent again, as the successor was silent
     tokens_spoilt: int  # own tokens not heard back as they were sent, behind a port that echoes
     gap_polls: int
     rejected: Mapping[str, int]

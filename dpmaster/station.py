@@ -64,11 +64,11 @@ class StationStatistics:
     exchanges: int
     diagnoses: int
     repetitions: int
-    unanswered: int
-    refused: int
-    invalid: int
-    starts: int
-    losses: int
+    unanswered: int  # requests given up after all tries
+    refused: int  # RS, UE, RR
+    invalid: int  # answers that fit no request
+    starts: int  # of Data_Exchange
+    losses: int  # of it
     tsdr_min: float | None
     tsdr_max: float | None
 

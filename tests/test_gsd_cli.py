@@ -106,7 +106,7 @@ def test_config_prints_a_station_ready_to_paste(rack: str, capsys: pytest.Captur
 
 
 def test_config_writes_every_parameter_in_tables_when_asked(rack: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["gsd", "config", rack, "--address", "7", "--module", "3", "--module", "2", "--all"]) == 0
+    assert cli.main(["gsd", "config", rack, "--address", "7", "--module", "3", "2", "--all"]) == 0
     text = capsys.readouterr().out
     assert "[station.parameters]" in text and '[station.parameters."1"]' in text
     assert station(text)["parameters"] == {

@@ -43,7 +43,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     config.epilog = "At a terminal, what is not given is asked for; else it is the file's default."
     config.add_argument("file", metavar="FILE")
     config.add_argument("--address", type=int, metavar="N", help="of the station, 0 to 125")
-    config.add_argument("--module", action="append", metavar="NAME", help="in the order of the slots, or SLOT=NAME")
+    config.usage = "dpmaster gsd config FILE [--address N] [--module NAME ...] [--parameter NAME=VALUE] [options]"
+    config.add_argument("--module", action="extend", nargs="+", metavar="NAME", help="in the order of the slots, or SLOT=NAME")
     config.add_argument("--parameter", action="append", default=[], metavar="NAME=VALUE", help="SLOT:NAME=VALUE for a module's")
     config.add_argument("--all", action="store_true", help="write parameters that are at their default, too")
     for command in (show, check, config):
