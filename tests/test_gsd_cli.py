@@ -18,7 +18,7 @@ from test_gsd_configuration import RACK
 from dpmaster import cli
 from dpmaster.emulator import Segment
 from dpmaster.emulator.cards import GenericSlave
-from dpmaster.gsd import GSD
+from dpmaster.gsd import GSD, devices
 
 
 class Person(io.StringIO):
@@ -120,6 +120,15 @@ def test_config_asks_a_person(rack: str, capsys: pytest.CaptureFixture[str], mon
     out, err = capsys.readouterr()
     assert station(out) == {"address": 7, "gsd": rack, "modules": ["Out 2", "Both"], "parameters": {"Filter": 5}}
     assert "no module 'nonsense'" in err and "'Filter' = '9': 0, 2, 5 to 6" in err
+
+
+def test_config_asks_for_no_more_modules_than_there_can_be(capsys: pytest.CaptureFixture[str],
+                                                           monkeypatch: pytest.MonkeyPatch) -> None:
+    """YASK0ACF.GSD, Max_Module 1: the answer behind the module is the one about parameters."""
+    monkeypatch.setattr("sys.stdin", Person("7\nPPO Type 2\n\n"))
+    assert cli.main(["gsd", "config", str(devices.path("si-p3"))]) == 0
+    out, err = capsys.readouterr()
+    assert station(out)["modules"] == ["PPO Type 2"] and err.count("Module for the next slot") == 1
 
 
 @pytest.mark.parametrize(("arguments", "text"), [

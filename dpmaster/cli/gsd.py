@@ -231,16 +231,17 @@ def _ask_modules(gsd: GSD) -> list[Any]:
     print("\n".join(map(printable, [*_slots(gsd), *_modules(gsd, True)])), file=sys.stderr)
     default = gsd.default_modules()
     chosen: list[Any] = []
-    while True:
+    while len(chosen) < gsd.most_modules:
         usual = f" (nothing: {', '.join(repr(module.name) for module in default) or 'the default'})" if not chosen else ""
         text = _ask(f"Module for the next slot, by name or number{usual}:")
         if not text:
-            return chosen or default
+            break
         try:
             gsd.configure([*chosen, _entry(text)])
             chosen.append(_entry(text))
         except ConfigurationError as error:
             print(error, file=sys.stderr)
+    return chosen or default
 
 
 def _ask_parameters(configuration: Configuration) -> None:

@@ -208,7 +208,7 @@ class Configuration:
         if broken is not None or not self.places:
             what = "no module is chosen" if broken is None else f"module {broken.name!r} has no identifiers in the file"
             raise ConfigurationError(f"{device.title}: {what}; choose of {device.instead() or 'none: the file has no Module'}")
-        limits = [("modules", len(self.places), self._most_modules(), "Max_Module"),
+        limits = [("modules", len(self.places), device.most_modules, "Max_Module"),
                   ("octets of inputs", self.input_length, min(IO_MAX, device.max_inputs or IO_MAX), "Max_Input_Len"),
                   ("octets of outputs", self.output_length, min(IO_MAX, device.max_outputs or IO_MAX), "Max_Output_Len"),
                   ("octets of inputs and outputs", self.input_length + self.output_length, device.max_data or 2 * IO_MAX,
@@ -217,11 +217,6 @@ class Configuration:
         for what, there, limit, rule in limits:
             if there > limit:
                 raise ConfigurationError(f"{device.title}: {there} {what}, and {rule} is {limit}: take modules out")
-
-    def _most_modules(self) -> int:
-        if self.device.max_modules is not None:
-            return max(1, self.device.max_modules)
-        return IO_MAX if self.device.modular else 1
 
     def _check_prm(self) -> None:
         length, own = len(self.user_parameters), len(self._station_prm())

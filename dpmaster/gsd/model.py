@@ -491,6 +491,13 @@ class Device(_Prm, _Diagnosis):
             raise ConfigurationError(f"{self.title} has {len(found)} modules {which!r}: give one by its reference, {numbers}")
         return found[0]
 
+    @property
+    def most_modules(self) -> int:
+        """How many a station can have."""
+        if self.max_modules is not None:
+            return max(1, self.max_modules)
+        return identifier.IO_MAX if self.modular else 1
+
     def instead(self, name: str = "") -> str:
         """Some modules' names, for a message: those most like `name`."""
         names = [module.name for module in self.modules]
