@@ -26,8 +26,8 @@ def frame(fc: int, data: bytes, *, da: int = 2, sa: int = 8, saps: bytes = b"") 
     return bytes([0x68, len(body), len(body), 0x68]) + body + bytes([sum(body) & 0xFF, 0x16])
 
 
-def diagnosis(*six: int, extended: bytes = b"", sa: int = 8) -> bytes:
-    return frame(0x08, bytes(six) + extended, sa=sa, saps=b"\x3e\x3c")
+def diagnosis(*six: int, extended: bytes = b"", da: int = 2, sa: int = 8) -> bytes:
+    return frame(0x08, bytes(six) + extended, da=da, sa=sa, saps=b"\x3e\x3c")
 
 
 class Bus:

@@ -183,6 +183,39 @@ def test_services_it_does_not_have_are_refused_and_sdn_is_not_answered():
     assert script.next(tokens=True, limit=script.bits(300)) == b""
 
 
+@pytest.mark.parametrize("fc", [0x40, 0x41, 0x48, 0x4A, 0xC0, 0xC9])
+def test_time_events_clock_values_and_reserved_codes_are_not_answered(fc):
+    """"Reply expected: no"; "bit 7 = 0 (1 only for Clock Value)" (protocol page C.1)."""
+    master = Master(500_000, address=5)
+    master.mode(lib.DPM_MODE_STOP)
+    script = Script(master)
+    Offer(master.machine, 0)
+    script.answer(bytes([0x10, 5, 2, fc, (7 + fc) & 0xFF, 0x16]), tsdr=50)
+    assert script.next(tokens=True, limit=script.bits(300)) == b""
+
+
+def test_a_request_from_126_is_nobodys():
+    """"SA: 0..125, plus 126 only for a not yet addressed slave that answers" (protocol page B.3): no master to give way to."""
+    master, script = stopped()
+    script.answer("10 02 7E 49 C9 16", tsdr=50)
+    assert master.status.fdl_state == lib.DPM_FDL_USE_TOKEN and master.status.foreign == -1
+    assert master.status.fdl.stray == 1
+    assert script.next(tokens=True) == octets("DC 02 02")
+
+
+@pytest.mark.parametrize("result", [lib.DPM_SENT_CUT, lib.DPM_SENT_FAILED])
+def test_an_sdn_that_did_not_leave_whole_was_not_sent(result):
+    """Nobody acknowledges it, so only the port can tell."""
+    master, script = stopped()
+    request = master.request(127, lib.DPM_SDN_HIGH, b"\0\0", 58, 62)
+    while not (offer := Offer(master.machine, script.now)).octets or offer.octets[0] == 0xDC:
+        script.next(limit=script.bits(1), tokens=True)
+    script.silence(max(offer.not_before - script.now, 0))
+    master.machine.sent(master.machine, script.now, script.now, script.now, result)
+    assert request.done and request.status == lib.DPM_CONF_DS
+    assert (master.status.fdl.sdn, master.status.fdl.send_failed) == (0, 1)
+
+
 # --- frame count bit, retries -------------------------------------------------------------------------------------
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from itertools import pairwise
 
 import pytest
+from dp_bus import diagnosis
 from simulation import Simulation
 from wire import MS, US, Master, Offer, S, Script, Slaves, Wire, default_parameters, feed, lib, octets
 
@@ -85,6 +86,17 @@ def test_not_ready_before_two_equal_rotations_then_ready_then_in_the_ring():
     assert bus.state == lib.DPM_FDL_ACTIVE_IDLE and bus.master.las == {2, 5, 9}
     bus.script.answer(status(5, 2), tsdr=37)
     assert bus.script.next(limit=bus.script.bits(120)) == octets("10 02 05 30 37 16")
+
+
+def test_only_the_predecessor_is_told_that_it_is_ready():
+    """"Then 20h (ready) when asked by its predecessor" (protocol page E.1): anybody else's token would never come."""
+    bus = Bus()
+    bus.listened()
+    bus.script.answer(status(5, 9), tsdr=37)
+    assert bus.script.next(limit=bus.script.bits(120)) == answer(9, 5, 0x10)
+    assert bus.state == lib.DPM_FDL_LISTEN_TOKEN
+    bus.script.answer(status(5, 2), tsdr=37)
+    assert bus.script.next(limit=bus.script.bits(120)) == answer(2, 5, 0x20)
 
 
 def test_a_list_that_changes_is_listened_to_anew():
@@ -309,6 +321,47 @@ def test_a_duplicate_address_is_reported_and_the_bus_left():
     assert bus.state == lib.DPM_FDL_OFFLINE
     assert [e.address for e in bus.master.events() if e.kind == lib.DPM_EV_DUPLICATE] == [5]
     assert bus.master.view.duplicate and bus.master.status.mode == lib.DPM_MODE_OFFLINE
+    assert bus.script.next(limit=1 * S, tokens=True) == b""
+
+
+def test_a_duplicate_address_is_found_among_other_tokens():
+    """Its tokens and those of its ring take turns: "own address seen as SA twice", not twice in a row (page E.1)."""
+    bus = Bus()
+    bus.script.next(limit=bus.script.bits(50))
+    bus.script.answer(token(9, 5), tsdr=37)
+    bus.script.answer(token(5, 9), tsdr=37)
+    assert bus.state == lib.DPM_FDL_LISTEN_TOKEN
+    bus.script.answer(token(9, 5), tsdr=37)
+    assert bus.state == lib.DPM_FDL_OFFLINE and bus.master.view.duplicate
+
+
+@pytest.mark.parametrize("behind", [token(5, 2), token(9, 2), status(5, 2)])
+def test_who_left_the_bus_hears_nothing_more(behind):
+    """A port hands over several telegrams at once: what stands behind the one that led to Offline is nobody's."""
+    bus = Bus()
+    bus.script.next(limit=bus.script.bits(50))
+    bus.rotations(3)
+    bus.script.answer(token(9, 5) * 2 + behind, tsdr=37)
+    assert bus.state == lib.DPM_FDL_OFFLINE and bus.master.status.mode == lib.DPM_MODE_OFFLINE
+    assert bus.script.next(limit=1 * S, tokens=True) == b""
+
+
+def test_who_loses_the_ring_on_its_way_out_stays_out():
+    """There is nobody left to unlock, so it is Offline at once, and does not listen to enter again."""
+    bus = Bus()
+    bus.master.add(30, 1, octets("21"))
+    bus.entered()
+    bus.master.mode(lib.DPM_MODE_CLEAR, bus.script.now)
+    while (sent := bus.script.next(tokens=True))[4] != 0x80 | 30:
+        if sent == token(9, 5):
+            bus.script.answer(token(2, 9), tsdr=37)
+            bus.script.answer(token(5, 2), tsdr=37)
+    bus.script.answer(diagnosis(0x02, 0x05, 0x00, 0xFF, 0x00, 0x01, da=5, sa=30))
+    bus.master.mode(lib.DPM_MODE_OFFLINE, bus.script.now)
+    assert bus.master.slave(0).state == lib.DPM_ST_LEAVING
+    for _ in range(2):
+        bus.script.answer(token(9, 5), tsdr=50)
+    assert bus.master.status.mode == lib.DPM_MODE_OFFLINE and bus.state == lib.DPM_FDL_OFFLINE
     assert bus.script.next(limit=1 * S, tokens=True) == b""
 
 
@@ -698,6 +751,21 @@ def test_a_sole_master_takes_the_bus_when_the_other_one_is_gone():
     bus.wire.power(bus.port, False)
     bus.wire.run(1 * S, violation=False)
     assert bus.guest.status.fdl.tokens > 0
+
+
+def test_the_time_off_the_bus_is_no_silence_of_that_ring():
+    """Octets may come before the first look at the bus: from when it was Offline no silence is known."""
+    master = Master(500_000, address=0)
+    master.mode(lib.DPM_MODE_STOP)
+    script = Script(master)
+    assert script.next(tokens=True) == token(0, 0)
+    script.answer(token(9, 5), tsdr=100)
+    for mode in (lib.DPM_MODE_OFFLINE, lib.DPM_MODE_STOP):
+        master.mode(mode, script.now)
+    script.now += 1000 * S
+    end = script.answer(token(9, 5), tsdr=100)
+    assert script.next(tokens=True) == token(0, 0)
+    assert script.idle_bits(end) == pytest.approx(6 * TSL, abs=1)
 
 
 def test_who_gave_way_waits_for_four_times_the_longest_silence_of_that_ring():

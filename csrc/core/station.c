@@ -10,7 +10,7 @@
 
 #include "dpmaster/error.h"
 
-#define FC_CODE(fc) ((fc) & 0x0F)
+#define FC_CODE(fc) ((fc) & 0x8F) /* "bit 7 = 1 only for Clock Value": with it no function is one of ours */
 #define TURNS_FOR_ONE 8 /* of the first user, when it leaves no time to the others */
 #define LOOKS 4         /* in a slot, of a host that may be late */
 
@@ -53,6 +53,11 @@ static bool is_sdn(uint8_t function) { return function == DPM_SDN_LOW || functio
 static bool counts_frames(uint8_t function)
 {
     return function == DPM_SRD_LOW || function == DPM_SRD_HIGH || function == DPM_SDA_LOW || function == DPM_SDA_HIGH;
+}
+
+static bool wants_answer(uint8_t function)
+{
+    return counts_frames(function) || function == DPM_FDL_STATUS || function == DPM_IDENT || function == DPM_LSAP_STATUS;
 }
 
 /* Inside the ring the state changes with every telegram; onlookers care for being in it. */
@@ -216,13 +221,13 @@ static void heard_request(dpm_station *st, const dpm_telegram *t, int64_t now)
 }
 
 /* Requests to us: FDL status is answered in every state, Ident with who we are (four lengths: vendor, controller, hardware
- * and software release, then the texts); no SAP is open, so SRD, SDA and LSAP status get RS. SDN is never answered. */
+ * and software release, then the texts); no SAP is open, so SRD, SDA and LSAP status get RS. */
 static void reply(dpm_station *st, const dpm_received *rx)
 {
     static const uint8_t identity[] = {8, 3, 0, 0, 'd', 'p', 'm', 'a', 's', 't', 'e', 'r', 'F', 'D', 'L'};
     const dpm_telegram *t = &rx->telegram;
     const bool status = FC_CODE(t->fc) == DPM_FDL_STATUS, ident = FC_CODE(t->fc) == DPM_IDENT;
-    const uint8_t type = st->config.role == DPM_ROLE_SOLE ? DPM_TYPE_MASTER_NOT_READY : dpm_token_status(st);
+    const uint8_t type = st->config.role == DPM_ROLE_SOLE ? DPM_TYPE_MASTER_NOT_READY : dpm_token_status(st, t->sa);
     const dpm_telegram answer = {
         .da = t->sa,
         .sa = st->config.address,
@@ -273,6 +278,8 @@ static void receive(dpm_station *st, const dpm_received *rx)
     const bool token = t->format == DPM_SD4;
     const bool request = !token && t->format != DPM_SC && (t->fc & DPM_FC_REQUEST);
     const bool ours = t->sa == st->config.address && st->config.role != DPM_ROLE_PASSIVE;
+    if (st->state == DPM_FDL_OFFLINE)
+        return; /* left by what came before it in the same octets */
     if (!token && !request && !ours && t->format != DPM_SC)
         dpm_token_live(st, t->sa, DPM_LIVE_OF(t->fc), rx->end_latest);
     if (token && !ours && awaits_answer(st)) {
@@ -282,9 +289,9 @@ static void receive(dpm_station *st, const dpm_received *rx)
         st->suspect_da = t->da;
     } else if (token) {
         heard_token(st, t->sa, t->da, rx);
-    } else if (request && !ours) {
+    } else if (request && !ours && t->sa <= DPM_ADDRESS_MAX) { /* 126 asks nobody: it waits for its address */
         heard_request(st, t, rx->end_latest);
-        if (t->da == st->config.address && !is_sdn(FC_CODE(t->fc)) && st->state > DPM_FDL_PASSIVE_IDLE)
+        if (t->da == st->config.address && wants_answer(FC_CODE(t->fc)) && st->state > DPM_FDL_PASSIVE_IDLE)
             reply(st, rx);
     } else if (!request && is_answer(st, rx)) {
         const bool fits = t->format == DPM_SC || mirrors_saps(st, t);
@@ -341,7 +348,7 @@ static void station_octets(dpm_machine *machine, const dpm_span *given)
         hear_echo(st, &span, end);
         return;
     }
-    if (st->foreign >= 0 && st->state == DPM_FDL_LISTEN_TOKEN)
+    if (st->foreign >= 0 && st->state == DPM_FDL_LISTEN_TOKEN && st->last_activity >= 0)
         st->foreign_gap = max_of(st->foreign_gap, span.latest - st->last_activity);
     bus_busy(st, end, st->tid1);
     st->heard = end;
@@ -426,15 +433,15 @@ void dpm_station_begin_turn(dpm_station *st, int64_t now)
             st->users[i].token(st->users[i].context, now, true);
 }
 
-static void request_sent(dpm_station *st)
+static void request_sent(dpm_station *st, int result)
 {
     st->tries++;
     st->worked = true;
     st->spoke = true;
     st->users_wake = 0;
     if (is_sdn(st->function)) {
-        dpm_confirm confirm = {.status = DPM_CONF_SENT, .tsdr = -1};
-        st->statistics.sdn++;
+        dpm_confirm confirm = {.status = result == DPM_SENT_WHOLE ? DPM_CONF_SENT : DPM_CONF_DS, .tsdr = -1};
+        st->statistics.sdn += result == DPM_SENT_WHOLE;
         bus_busy(st, st->tx_end_latest, st->tid2);
         finish(st, st->tx_end_latest, &confirm);
         return;
@@ -462,7 +469,7 @@ static void station_sent(dpm_machine *machine, int64_t start, int64_t end_earlie
     st->echo_n = 0;
     st->echo_spoilt = false;
     if (kind == DPM_TX_REQUEST)
-        request_sent(st); /* one that did not leave whole is repeated when its slot runs out */
+        request_sent(st, result); /* one that did not leave whole is repeated when its slot runs out */
     else if (kind == DPM_TX_STATUS)
         dpm_token_poll_sent(st);
     else if (kind == DPM_TX_REPLY && result == DPM_SENT_WHOLE)
@@ -479,8 +486,7 @@ static bool request_is_valid(const dpm_station *st, const dpm_request *r)
 {
     if (r->da == st->config.address || r->da > DPM_BROADCAST || (r->da == DPM_BROADCAST && !is_sdn(r->function)))
         return false;
-    return counts_frames(r->function) || is_sdn(r->function) || r->function == DPM_FDL_STATUS ||
-           r->function == DPM_IDENT || r->function == DPM_LSAP_STATUS;
+    return wants_answer(r->function) || is_sdn(r->function);
 }
 
 /* FC of a request (EN 50170 part 4): first contact FCB 1, FCV 0; then FCV 1 and a toggling FCB; others neither. */

@@ -105,8 +105,8 @@ void dpm_token_live(dpm_station *station, uint8_t address, uint8_t live, int64_t
 bool dpm_token_alone(const dpm_station *station);
 /* A token of another station, or one with our address that is not ours. */
 void dpm_token_heard(dpm_station *station, uint8_t sa, uint8_t da, const dpm_received *received);
-/* FC of our answer to FDL status; `told` when it is out. */
-uint8_t dpm_token_status(dpm_station *station);
+/* FC of our answer to the FDL status that `asker` wants; `told` when it is out. */
+uint8_t dpm_token_status(dpm_station *station, uint8_t asker);
 void dpm_token_status_told(dpm_station *station, int64_t now);
 /* Silence for Tto: claim the token. */
 void dpm_token_claim(dpm_station *station, int64_t now);

@@ -91,6 +91,13 @@ void dpm_token_listen(dpm_station *station, int64_t now)
     dpm_station_enter(station, DPM_FDL_LISTEN_TOKEN, now);
 }
 
+/* Out of the ring with an exchange or a turn under way. The users come last: one may go Offline. */
+static void relisten(dpm_station *st, int64_t now)
+{
+    dpm_token_listen(st, now);
+    dpm_station_drop_token(st, DPM_FDL_LISTEN_TOKEN, now, true);
+}
+
 static void count_rotation(dpm_station *st, int64_t now)
 {
     const int64_t trr = now - st->token_at;
@@ -136,8 +143,7 @@ static void heard_own(dpm_station *st, int64_t now)
     if (++st->own_heard < 2)
         return;
     if (st->state != DPM_FDL_LISTEN_TOKEN) {
-        dpm_station_drop_token(st, DPM_FDL_LISTEN_TOKEN, now, true);
-        dpm_token_listen(st, now);
+        relisten(st, now);
         return;
     }
     st->ring.duplicate = true;
@@ -200,7 +206,6 @@ void dpm_token_heard(dpm_station *station, uint8_t sa, uint8_t da, const dpm_rec
         heard_own(station, now);
         return;
     }
-    station->own_heard = 0;
     dpm_token_live(station, sa, DPM_LIVE_MASTER_IN_RING, now);
     switch (station->state) {
     case DPM_FDL_PASSIVE_IDLE:
@@ -217,6 +222,7 @@ void dpm_token_heard(dpm_station *station, uint8_t sa, uint8_t da, const dpm_rec
     default:
         break;
     }
+    station->own_heard = 0;
     if (da == station->ring.ts)
         token_for_us(station, sa, received);
     else
@@ -225,16 +231,17 @@ void dpm_token_heard(dpm_station *station, uint8_t sa, uint8_t da, const dpm_rec
 
 /* --- FDL status ---------------------------------------------------------------------------------------------------- */
 
-uint8_t dpm_token_status(dpm_station *station)
+/* "Ready when asked by its predecessor": only from there the token comes next. */
+uint8_t dpm_token_status(dpm_station *station, uint8_t asker)
 {
     const bool listening = station->state == DPM_FDL_LISTEN_TOKEN;
-    station->ready_told = listening && station->ready && station->config.role == DPM_ROLE_RING;
+    station->ready_told = listening && station->ready && station->config.role == DPM_ROLE_RING && asker == station->ring.ps;
     if (station->ready_told)
         return DPM_TYPE_MASTER_READY;
     return listening ? DPM_TYPE_MASTER_NOT_READY : DPM_TYPE_MASTER_IN_RING;
 }
 
-/* The predecessor knows that we are ready: its token comes next. */
+/* The predecessor knows that we are ready. */
 void dpm_token_status_told(dpm_station *station, int64_t now)
 {
     if (!station->ready_told)
@@ -257,6 +264,7 @@ void dpm_token_claim(dpm_station *station, int64_t now)
         memset(station->ring.las, 0, sizeof station->ring.las);
         add(station->ring.las, station->ring.ts);
         find_neighbours(station);
+        station->own_heard = 0;
     }
     station->claims = 2;
     begin_gap(station);
@@ -306,9 +314,10 @@ void dpm_token_echoed(dpm_station *station, bool right, int64_t now)
     station->spoilt = 0;
     const dpm_event event = {.time = now, .kind = DPM_EV_ECHO, .address = -1, .a = deaf};
     dpm_station_event(station, &event);
-    dpm_station_drop_token(station, deaf ? DPM_FDL_OFFLINE : DPM_FDL_LISTEN_TOKEN, now, true);
-    if (!deaf)
-        dpm_token_listen(station, now);
+    if (deaf)
+        dpm_station_drop_token(station, DPM_FDL_OFFLINE, now, true);
+    else
+        relisten(station, now);
 }
 
 /* --- GAP ------------------------------------------------------------------------------------------------------------ */

@@ -69,7 +69,8 @@ enum dpm_confirm_status {
     DPM_CONF_SENT,        /* SDN: it went out */
     DPM_CONF_NA,          /* no answer, or none that was whole, after all tries */
     DPM_CONF_INVALID,     /* the station answered with something that is no answer to this request */
-    DPM_CONF_DS           /* the station lost the token or left the bus before it was done, or it was withdrawn */
+    DPM_CONF_DS           /* the station lost the token or left the bus before it was done, it was withdrawn, or an SDN
+                           * did not leave whole */
 };
 
 typedef struct dpm_request {
