@@ -476,6 +476,23 @@ def test_a_fixed_cycle_keeps_its_raster():
     assert {round((b - a) / MS, 3) for a, b in pairwise(starts)} == {10.0}
 
 
+@pytest.mark.parametrize("cycle_time", [0, 10 * MS])
+def test_a_pause_is_no_cycle(cycle_time):
+    """Stop, or the bus lost: the time until the next cycle was none that anybody was exchanged with in."""
+    bus = Bus(mode=lib.DPM_MODE_OPERATE, cycle_time=cycle_time)
+    bus.start()
+    bus.exchange()
+    longest = bus.master.status.cycle_max
+    bus.master.mode(lib.DPM_MODE_STOP, bus.script.now)
+    bus.next()
+    bus.script.answer(SC)
+    assert bus.next(limit=3 * S) == b""
+    bus.master.mode(lib.DPM_MODE_OPERATE, bus.script.now)
+    bus.start()
+    bus.exchange()
+    assert longest <= bus.master.status.cycle_max < 20 * MS
+
+
 # --- modes, Global_Control, watchdog ---------------------------------------------------------------------------------
 
 

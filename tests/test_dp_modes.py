@@ -250,6 +250,13 @@ def test_to_one_station():
     assert bus.told == [control(FREEZE, 0, da=9)]
 
 
+def test_an_order_that_cannot_be_sent_is_refused():
+    """A telegram to oneself would come back as invalid, cycle after cycle, and no slave would have its turn."""
+    bus = Several(control_interval=200 * S)
+    order = ffi.new("dpm_control *", {"da": 2, "command": SYNC, "clear": -1})
+    assert lib.dpm_master_order(bus.master.master, order, bus.script.now) == lib.DPM_E_ARGUMENT
+
+
 def test_the_cyclic_repetition_neither_cancels_nor_repeats_a_sync():
     """I.4: "each further Sync transfers once; Unsync returns to normal": what is repeated bears neither."""
     bus = Several(control_interval=20 * MS)

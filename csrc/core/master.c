@@ -57,6 +57,7 @@ static void forget_cycle(dpm_master *m)
 {
     m->in_cycle = false;
     m->cycle_at = 0;
+    m->cycle_start = 0;
 }
 
 static void make_outputs_safe(dpm_master *m, bool latch, int64_t now)
@@ -236,7 +237,7 @@ static bool begin_cycle(dpm_master *m, int64_t now, int64_t *wake)
     m->turn = 0;
     m->asked = 0;
     m->tried = false;
-    if (m->cycle_start && m->cycle) {
+    if (m->cycle_start) {
         m->cycle_last = now - m->cycle_start;
         m->cycle_max = m->cycle_last > m->cycle_max ? m->cycle_last : m->cycle_max;
     }
@@ -367,7 +368,8 @@ static void revoke(dpm_master *m)
 
 int dpm_master_order(dpm_master *master, dpm_control *control, int64_t now)
 {
-    if (control->command & (uint8_t)~COMMANDS || control->da > DPM_BROADCAST || control->clear < -1 || control->clear > 1)
+    if (control->command & (uint8_t)~COMMANDS || control->da > DPM_BROADCAST || control->clear < -1 || control->clear > 1 ||
+        control->da == master->config.station.address)
         return DPM_E_ARGUMENT;
     if (master->order)
         return DPM_E_BUSY;

@@ -149,7 +149,7 @@ typedef struct dpm_master_config {
 /* A Global_Control ordered by a program. It goes out before the first Data_Exchange of a cycle, once each slave concerned
  * was given what was committed before the order. The memory is the caller's, until `done` or cancelled. */
 typedef struct dpm_control {
-    uint8_t da;                  /* one slave, or DPM_BROADCAST */
+    uint8_t da;                  /* one slave, not the master itself, or DPM_BROADCAST */
     uint8_t command;             /* Unfreeze 04h, Freeze 08h, Unsync 10h, Sync 20h; Clear_Data is added */
     uint8_t group;               /* Group_Select; 0: all */
     int8_t clear;                /* 1: outputs of those concerned are safe at once and stay so; 0: no longer, but for Clear;
