@@ -1,14 +1,14 @@
 /* SPDX-License-Identifier: MIT
  *
- * Fuzz target for the state machines, a master and two slaves on one wire, under the event contract (dpmaster/machine.h):
- * `make fuzz`. Without libFuzzer the same checks replay files:
+ * Fuzz target for the state machines, a master in any role and two slaves on one wire, under the event contract
+ * (dpmaster/machine.h): `make fuzz`. Without libFuzzer the same checks replay files:
  *   gcc -DREPLAY -g -fsanitize=address,undefined -Iinclude -Icsrc -o build/replay tests/fuzz/machine.c csrc/core/[a-z]*.c && \
  *       build/replay FILE...
  *
  * An input is a list of steps: what happens next, to whom, for how long, with which octets. Oracles: an offer is one whole
  * telegram of the machine's own and in time; asking again without an event changes nothing; a Data_Exchange carries zeros
- * or one commit, newer than whatever made the outputs safe last, Clear by order included; Offline nothing is sent; a slave's
- * outputs are zeros unless it is in Data_Exchange.
+ * or one commit, newer than whatever made the outputs safe last, Clear by order included; Offline nothing is sent, and
+ * the station is off the bus; a passive one sends nothing ever; a slave's outputs are zeros unless it is in Data_Exchange.
  */
 #include <stdio.h>
 #include <stdlib.h>
@@ -25,8 +25,10 @@ enum { MASTER = 2, FIRST = 8, KNOWN = 3, PRESENT = 2, IDENT = 0x0A35, GRANULARIT
 
 typedef struct {
     const uint8_t *at, *end;
+    dpm_parameters parameters;
     int64_t now, character;
     dpm_master *master;
+    uint8_t role;
     dpm_slaves *slaves;
     dpm_machine *machine[2]; /* of the master, of the slaves */
     dpm_outputs *outputs[KNOWN];
@@ -57,6 +59,8 @@ static void make_master(bench *b, const dpm_parameters *parameters)
     dpm_slave_set set = {.ident_number = IDENT, .configuration = {0x31}, .configuration_length = 1, .wd_fact_1 = 1,
                          .wd_fact_2 = 2, .min_tsdr = 11, .active = true};
     config.station.parameters = *parameters;
+    config.station.parameters.tsl = (uint16_t)dpm_ring_tsl(parameters, ALLOWANCE);
+    config.station.role = b->role;
     config.station.address = MASTER;
     config.station.traits = (dpm_port_traits){.allowance = ALLOWANCE, .granularity = GRANULARITY};
     MUST(dpm_master_init(block(b, dpm_master_size(KNOWN)), dpm_master_size(KNOWN), &config, &b->master) == DPM_OK);
@@ -102,6 +106,7 @@ static void note_safe(bench *b)
     dpm_slave_status slave;
     dpm_master_get_status(b->master, &status);
     const bool operates = status.mode == DPM_MODE_OPERATE;
+    MUST(status.mode != DPM_MODE_OFFLINE || status.fdl_state == DPM_FDL_OFFLINE);
     for (int i = 0; i < KNOWN; i++) {
         MUST(dpm_master_get_slave(b->master, i, &slave) == DPM_OK);
         const bool in_data = slave.state == DPM_ST_DATA;
@@ -153,6 +158,7 @@ static void check_offer(bench *b, int side, const dpm_offer *offer)
     MUST(b->now <= offer->not_after);
     dpm_master_get_status(b->master, &status);
     if (side == 0) {
+        MUST(b->role != DPM_ROLE_PASSIVE);
         MUST(t.sa == MASTER && status.mode + status.fdl_state != 0 && status.fdl_state != DPM_FDL_OFFLINE);
         check_data(b, &t);
     } else {
@@ -242,6 +248,37 @@ static void say(bench *b)
         hear(b, 0, out, (size_t)n, true);
         hear(b, 1, out, (size_t)n, true);
     }
+}
+
+static void say_token(bench *b, uint8_t da, uint8_t sa)
+{
+    const uint8_t octets[3] = {DPM_SD4, da, sa};
+    b->now += b->character * 3 + dpm_bits_up(&b->parameters, 33);
+    hear(b, 0, octets, sizeof octets, true);
+}
+
+/* Two masters of a ring: their tokens, at whose end ours may be polled, or meant, or heard with its own address. */
+static void ring(bench *b, unsigned rotations)
+{
+    const uint8_t how = next(b);
+    uint8_t poll[6];
+    const dpm_telegram status = {.da = MASTER, .sa = how & 1 ? 1 : 9, .fc = DPM_FC_REQUEST | DPM_FDL_STATUS,
+                                 .dsap = DPM_NO_SAP, .ssap = DPM_NO_SAP, .dsegment = -1, .ssegment = -1};
+    while (rotations--) {
+        say_token(b, 9, 1);
+        say_token(b, 1, 9);
+    }
+    if (how & 2) {
+        MUST(dpm_encode(&status, poll, sizeof poll) == sizeof poll);
+        b->now += b->character * 6 + dpm_bits_up(&b->parameters, 33);
+        hear(b, 0, poll, sizeof poll, true);
+        b->now += dpm_bits_up(&b->parameters, 11);
+        send(b, 0, 0);
+    }
+    if (how & 4)
+        say_token(b, MASTER, how & 8 ? 1 : 9);
+    if (how & 16)
+        say_token(b, how >> 5, MASTER);
 }
 
 static void noise(bench *b)
@@ -334,7 +371,10 @@ static void step(bench *b)
     case 10: request(b); break;
     case 11: touch_slave(b); break;
     case 12: dpm_master_port(b->master, with & 1, b->now); break;
-    case 13: dpm_master_feed(b->master, b->now, DPM_FED_PROGRAM); break;
+    case 13:
+        dpm_master_feed(b->master, b->now, DPM_FED_PROGRAM);
+        ring(b, with);
+        break;
     case 14: manage(b); break;
     default: (void)dpm_master_set_mode(b->master, DPM_MODE_OPERATE, b->now); commit(b, 0); run(b, 40); break;
     }
@@ -347,14 +387,13 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 {
     static bench b;
-    dpm_parameters parameters;
     if (size < 2 || size > 1024)
         return 0;
-    b = (bench){.at = data + 1, .end = data + size};
-    MUST(dpm_parameters_default(&parameters, dpm_parameters_rate(data[0] % 11u), 0) == DPM_OK);
-    b.character = dpm_bits_up(&parameters, DPM_CHARACTER_BITS);
-    make_master(&b, &parameters);
-    make_slaves(&b, &parameters);
+    b = (bench){.at = data + 1, .end = data + size, .role = data[0] / 11 % 3};
+    MUST(dpm_parameters_default(&b.parameters, dpm_parameters_rate(data[0] % 11u), 0) == DPM_OK);
+    b.character = dpm_bits_up(&b.parameters, DPM_CHARACTER_BITS);
+    make_master(&b, &b.parameters);
+    make_slaves(&b, &b.parameters);
     while (b.at < b.end)
         step(&b);
     while (b.n_blocks)
