@@ -665,6 +665,51 @@ def test_a_passive_station_never_sends_a_bit():
     assert script.next(limit=10 * S, tokens=True) == b""
 
 
+def test_a_passive_station_that_was_off_the_bus_listens_from_the_beginning():
+    master = Master(500_000, address=5, role=lib.DPM_ROLE_PASSIVE)
+    master.mode(lib.DPM_MODE_STOP)
+    script = Script(master)
+
+    def rotate() -> None:
+        script.answer(token(9, 2), tsdr=37)
+        script.answer(token(2, 9), tsdr=37)
+
+    for _ in range(3):
+        rotate()
+    before = master.view
+    for mode in (lib.DPM_MODE_OFFLINE, lib.DPM_MODE_STOP):
+        master.mode(mode, script.now)
+    assert before.rotations == 2 and master.las == set()
+    script.now += 1000 * S
+    rotate()
+    assert (master.view.rotations, master.view.trr_max) == (2, before.trr_max)
+    rotate()
+    assert (master.view.rotations, master.view.trr) == (3, before.trr)
+
+
+def test_only_whole_rotations_are_measured():
+    """Trr is from token to token, alone, too: not from the answer that brought the first one (protocol page D.1)."""
+    bus = Bus()
+    bus.entered()
+    assert bus.master.view.rotations == 1 and bus.master.view.trr == 0
+    came = bus.script.now
+    bus.passed()
+    bus.script.answer(token(2, 9), tsdr=37)
+    bus.script.answer(token(5, 2), tsdr=37)
+    view = bus.master.view
+    assert view.rotations == 2 and view.trr == view.trr_min == view.trr_max == bus.script.now - came
+    master = Master(500_000, address=5, role=RING)
+    master.mode(lib.DPM_MODE_STOP)
+    script = Script(master)
+    ends = []
+    while len(ends) < 4:
+        if script.next(tokens=True) == token(5, 5):
+            ends.append(script.last.end)
+    view = master.view  # the second token of the claim is no rotation's end
+    assert (view.rotations, view.trr) == (2, ends[3] - ends[2])
+    assert {view.trr_min, view.trr_max} == {b - a for a, b in pairwise(ends[1:])}
+
+
 def test_a_passive_station_has_no_address():
     """Nobody is a duplicate of it, and it counts rotations from wrap to wrap."""
     master = Master(500_000, address=9, role=lib.DPM_ROLE_PASSIVE)

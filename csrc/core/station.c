@@ -793,9 +793,7 @@ void dpm_station_online(dpm_station *station, bool online, int64_t now)
     station->echo_kind = DPM_TX_NONE;
     station->spoilt = 0;
     station->not_before = 0;
-    if (online && station->config.role == DPM_ROLE_PASSIVE)
-        dpm_station_enter(station, DPM_FDL_PASSIVE_IDLE, now);
-    else if (online)
+    if (online)
         dpm_token_listen(station, now);
 }
 

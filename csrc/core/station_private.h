@@ -34,7 +34,7 @@ struct dpm_station {
     bool worked;           /* something was sent since the token came */
     uint8_t served;        /* users that had their message in this turn, a bit each */
     uint8_t passed_over;   /* turns that the first user had for itself, in a row */
-    int64_t token_at;      /* the token came */
+    int64_t token_at;      /* the token came; -1: not since we are in the ring */
     int64_t hold_until;    /* token hold time: Ttr - Trr after that */
     int64_t speak_until;   /* the first telegram of a turn: behind this the predecessor takes us for gone */
     bool spoke;            /* the turn's first telegram is out */
@@ -122,7 +122,7 @@ void dpm_token_poll_answered(dpm_station *station, uint8_t address, uint8_t fc, 
 void dpm_token_slot_over(dpm_station *station, int64_t now);
 /* Our own token was heard back (`right`), spoilt, or not at all. */
 void dpm_token_echoed(dpm_station *station, bool right, int64_t now);
-/* Listen from the beginning: nothing is known about the ring. */
+/* Listen from the beginning, by role in Listen_Token or Passive_Idle: nothing is known about the ring. */
 void dpm_token_listen(dpm_station *station, int64_t now);
 
 /* --- station.c ---------------------------------------------------------------------------------------------------- */

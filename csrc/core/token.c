@@ -79,16 +79,19 @@ bool dpm_token_alone(const dpm_station *station) { return station->ring.ns == st
 
 void dpm_token_listen(dpm_station *station, int64_t now)
 {
+    const bool passive = station->config.role == DPM_ROLE_PASSIVE;
     memset(station->ring.las, 0, sizeof station->ring.las);
     memset(station->seen, 0, sizeof station->seen);
-    add(station->ring.las, station->ring.ts);
+    if (!passive)
+        add(station->ring.las, station->ring.ts);
     find_neighbours(station);
     station->listened = false;
+    station->token_at = -1;
     station->ready = false;
     station->own_heard = 0;
     station->stranger = -1;
     station->ring.duplicate = false;
-    dpm_station_enter(station, DPM_FDL_LISTEN_TOKEN, now);
+    dpm_station_enter(station, passive ? DPM_FDL_PASSIVE_IDLE : DPM_FDL_LISTEN_TOKEN, now);
 }
 
 /* Out of the ring with an exchange or a turn under way. The users come last: one may go Offline. */
@@ -98,14 +101,18 @@ static void relisten(dpm_station *st, int64_t now)
     dpm_station_drop_token(st, DPM_FDL_LISTEN_TOKEN, now, true);
 }
 
-static void count_rotation(dpm_station *st, int64_t now)
+/* The token came. Returns Trr, 0 for the first one behind a time out of the ring: what was before it is no rotation. */
+static int64_t count_rotation(dpm_station *st, int64_t now)
 {
-    const int64_t trr = now - st->token_at;
-    st->ring.trr = trr;
-    st->ring.trr_min = !st->ring.rotations || trr < st->ring.trr_min ? trr : st->ring.trr_min;
-    st->ring.trr_max = max_of(trr, st->ring.trr_max);
-    st->ring.rotations++;
+    const int64_t trr = st->token_at < 0 ? 0 : now - st->token_at;
     st->token_at = now;
+    st->ring.rotations++;
+    if (!trr)
+        return 0;
+    st->ring.trr = trr;
+    st->ring.trr_min = !st->ring.trr_min || trr < st->ring.trr_min ? trr : st->ring.trr_min;
+    st->ring.trr_max = max_of(trr, st->ring.trr_max);
+    return trr;
 }
 
 /* A passive station has no turn: to it a rotation is from one wrap of the addresses to the next. */
@@ -159,8 +166,7 @@ static void accept(dpm_station *st, const dpm_received *rx)
     const dpm_parameters *p = &st->config.parameters;
     const int64_t now = rx->end_latest;
     const int64_t heard = dpm_bits_up(p, DPM_CHARACTER_BITS) + st->config.traits.delivery;
-    count_rotation(st, now);
-    st->hold_until = now + max_of(dpm_bits_down(p, p->ttr) - st->ring.trr, 0);
+    st->hold_until = now + max_of(dpm_bits_down(p, p->ttr) - count_rotation(st, now), 0);
     /* A host that wakes late cannot tell when it came, only that it was not there at the last look. */
     const bool late = st->config.traits.allowance > 0;
     st->speak_until = (late ? min_of(rx->end_earliest, st->looked) : rx->end_earliest) + st->tsl - heard;
@@ -249,7 +255,6 @@ void dpm_token_status_told(dpm_station *station, int64_t now)
     station->ready_told = false;
     add(station->ring.las, station->ring.ts);
     find_neighbours(station);
-    station->token_at = now;
     station->own_heard = 0;
     begin_gap(station);
     dpm_station_enter(station, DPM_FDL_ACTIVE_IDLE, now);
@@ -274,7 +279,6 @@ void dpm_token_claim(dpm_station *station, int64_t now)
 static void own_turn(dpm_station *st, int64_t now)
 {
     st->hold_until = max_of(now, st->token_at + dpm_bits_down(&st->config.parameters, st->config.parameters.ttr));
-    st->token_at = now;
     st->spoke = true;
     st->gap_polled = false;
     dpm_station_begin_turn(st, now);
@@ -289,8 +293,8 @@ void dpm_token_sent(dpm_station *station, int64_t now)
         return;
     }
     if (dpm_token_alone(station)) {
-        station->ring.rotations++;
         own_turn(station, now);
+        count_rotation(station, now);
         return;
     }
     station->spoke = true;

@@ -57,7 +57,7 @@ typedef struct dpm_ring_view {
     bool duplicate;           /* another station has our address: the bus was left */
     uint8_t live[128];        /* enum dpm_live, by address: what our requests and all that is heard tell */
     uint64_t rotations;       /* times the token came; passive: rotations seen */
-    int64_t trr;              /* ns, the last real rotation time, 0 none yet */
+    int64_t trr;              /* ns, the last real rotation time, 0 none yet; alone: between two tokens to oneself */
     int64_t trr_min;
     int64_t trr_max;
 } dpm_ring_view;
