@@ -24,8 +24,6 @@ enum { CLEAR_DATA = 0x02, COMMANDS = 0x3C };
 #define MODE_STEP 0x40
 #define LONG_AGO (-HOUR * 24)
 
-static int64_t min_of(int64_t a, int64_t b) { return a < b ? a : b; }
-
 static void put_event(dpm_master *m, int64_t now, uint16_t kind, int32_t a, int32_t b)
 {
     const dpm_event event = {.time = now, .kind = kind, .address = -1, .a = a, .b = b};

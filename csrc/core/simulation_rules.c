@@ -28,8 +28,7 @@ void dpm_sim_rules_init(dpm_simulation *sim)
         .tsl = dpm_bits_down(p, p->tsl),
         .min_tsdr = dpm_bits_down(p, p->min_tsdr),
         .max_tsdr = dpm_bits_up(p, p->max_tsdr),
-        /* "Max time between two receiver syncs": 2 * (2 * (33 + 255 * 11)) + 33. */
-        .tsyni = dpm_bits_up(p, 2 * (2 * (DPM_TSYN + DPM_TELEGRAM_MAX * DPM_CHARACTER_BITS)) + DPM_TSYN),
+        .tsyni = dpm_bits_up(p, DPM_TSYNI),
         .ttr = dpm_bits_up(p, p->ttr),
     };
     for (unsigned i = 0; i <= DPM_ADDRESS_MAX; i++)

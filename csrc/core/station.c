@@ -30,10 +30,6 @@ static void put_event(dpm_station *st, int64_t time, uint16_t kind, int32_t a, i
 
 /* --- small facts ------------------------------------------------------------------------------------------------ */
 
-static int64_t max_of(int64_t a, int64_t b) { return a > b ? a : b; }
-
-static int64_t min_of(int64_t a, int64_t b) { return a < b ? a : b; }
-
 static bool holds_token(const dpm_station *st)
 {
     return st->state >= DPM_FDL_USE_TOKEN && st->state != DPM_FDL_CHECK_TOKEN_PASS;
@@ -301,7 +297,7 @@ static void receive(dpm_station *st, const dpm_received *rx)
             finish_answered(st, rx, fits ? DPM_CONF_ANSWER : DPM_CONF_INVALID);
     } else if (!request && t->format == DPM_SD1 && t->da == st->config.address && st->tx_kind == DPM_TX_NONE &&
                st->state == DPM_FDL_AWAIT_STATUS_RESPONSE) {
-        dpm_token_poll_answered(st, t->sa, t->fc, rx->end_latest);
+        dpm_token_poll_answered(st, t->sa, t->fc);
     } else {
         st->statistics.stray++;
     }
@@ -715,7 +711,7 @@ static void derive_times(dpm_station *st, const dpm_parameters *p, uint8_t addre
     st->tid2 = dpm_bits_up(p, dpm_tid2(p));
     st->tto = dpm_bits_up(p, dpm_tto(p, address));
     st->tsyn = dpm_bits_up(p, DPM_TSYN);
-    st->tsyni = dpm_bits_up(p, 2 * (2 * (DPM_TSYN + DPM_TELEGRAM_MAX * DPM_CHARACTER_BITS)) + DPM_TSYN);
+    st->tsyni = dpm_bits_up(p, DPM_TSYNI);
     st->min_tsdr = dpm_bits_up(p, p->min_tsdr);
     st->max_tsdr = dpm_bits_down(p, p->max_tsdr);
     st->late_slot = dpm_bits_up(p, dpm_ring_tsl(p, st->config.traits.allowance + st->config.traits.delivery));

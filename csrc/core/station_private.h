@@ -88,6 +88,10 @@ struct dpm_station {
     int64_t gap_wait;      /* the GAP rests until then */
 };
 
+static inline int64_t min_of(int64_t a, int64_t b) { return a < b ? a : b; }
+
+static inline int64_t max_of(int64_t a, int64_t b) { return a > b ? a : b; }
+
 /* What the exchange under way carries must not be sent again: it ends with DS, unless an answer still comes. */
 void dpm_station_withdraw(dpm_station *station, int64_t now);
 
@@ -118,7 +122,7 @@ void dpm_token_make(dpm_station *station, int64_t now);
 void dpm_token_sent(dpm_station *station, int64_t now);
 void dpm_token_poll_sent(dpm_station *station);
 /* Await_Status_Response, Check_Token_Pass: an answer, or the end of the slot. */
-void dpm_token_poll_answered(dpm_station *station, uint8_t address, uint8_t fc, int64_t now);
+void dpm_token_poll_answered(dpm_station *station, uint8_t address, uint8_t fc);
 void dpm_token_slot_over(dpm_station *station, int64_t now);
 /* Our own token was heard back (`right`), spoilt, or not at all. */
 void dpm_token_echoed(dpm_station *station, bool right, int64_t now);

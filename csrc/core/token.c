@@ -8,11 +8,6 @@
 #include <string.h>
 
 #define TOKEN_TRIES 3 /* one and two repetitions, then the successor is out of the list */
-#define STATUS_CODE 0x3F
-
-static int64_t min_of(int64_t a, int64_t b) { return a < b ? a : b; }
-
-static int64_t max_of(int64_t a, int64_t b) { return a > b ? a : b; }
 
 /* --- the list of active stations --------------------------------------------------------------------------------- */
 
@@ -379,14 +374,12 @@ void dpm_token_poll_sent(dpm_station *station)
 }
 
 /* A master that is ready, or believes to be in the ring, is the new NS and gets the token at once. */
-void dpm_token_poll_answered(dpm_station *station, uint8_t address, uint8_t fc, int64_t now)
+void dpm_token_poll_answered(dpm_station *station, uint8_t address, uint8_t fc)
 {
-    const uint8_t type = fc & 0x30;
-    if (station->state != DPM_FDL_AWAIT_STATUS_RESPONSE || address != station->gap_at || (fc & STATUS_CODE) != type)
+    if (station->state != DPM_FDL_AWAIT_STATUS_RESPONSE || address != station->gap_at || (fc & 0x0F) != DPM_RES_OK)
         return;
     station->state = DPM_FDL_PASS_TOKEN;
-    dpm_token_live(station, address, (uint8_t)(DPM_LIVE_SLAVE + (type >> 4)), now);
-    if (type == DPM_TYPE_MASTER_READY || type == DPM_TYPE_MASTER_IN_RING) {
+    if (fc & DPM_TYPE_MASTER_READY) {
         add(station->ring.las, address);
         find_neighbours(station);
         begin_gap(station);

@@ -176,8 +176,10 @@ static void step(dpm_bus *bus)
     else
         turn(bus);
     /* A machine that is never without work must not keep callers out. */
-    if (atomic_load_explicit(&bus->worker.pending, memory_order_relaxed))
+    if (atomic_load_explicit(&bus->worker.pending, memory_order_relaxed)) {
         dpm_worker_serve(&bus->worker);
+        bus->clean = false;
+    }
     if (bus->tap)
         pass_events(bus);
     dpm_worker_publish(&bus->worker, bus->machine->progress + bus->changes);

@@ -24,7 +24,8 @@ DPM_API size_t dpm_bus_size(void);
 /* Open the port. The block is the caller's, until dpm_bus_close. Errors as dpm_port_open, DPM_E_SYSTEM. */
 DPM_API int dpm_bus_open(void *block, size_t size, const dpm_port_config *config, dpm_bus **bus);
 DPM_API void dpm_bus_get_traits(const dpm_bus *bus, dpm_port_traits *traits);
-/* Start the thread on a machine. With `master` (may be NULL) the thread tells it when the port goes. */
+/* Start the thread on a machine. With `master` (may be NULL) the thread tells it when the port goes. DPM_E_MODE: it drives one
+ * already; DPM_E_SYSTEM, DPM_E_CLOSED, DPM_E_FORKED. */
 DPM_API int dpm_bus_start(dpm_bus *bus, dpm_machine *machine, dpm_master *master);
 /* Stop the thread, close the port, wake every waiter with DPM_E_CLOSED. A master that is not Offline goes there first: Clear,
  * and its slaves unlocked. Idempotent; returns within a second. */
@@ -38,7 +39,8 @@ DPM_API uint32_t dpm_bus_progress(const dpm_bus *bus);
 /* Wait until the counter differs from `seen`: 0, DPM_E_TIMEOUT, DPM_E_INTERRUPTED, DPM_E_CLOSED, DPM_E_FORKED. */
 DPM_API int dpm_bus_wait(dpm_bus *bus, uint32_t seen, int64_t timeout);
 
-/* Subscribe: events go to `ring`, and `event_fd` (an eventfd) becomes readable. */
+/* Subscribe: events go to `ring`, and `event_fd` (an eventfd) becomes readable. DPM_E_FULL: there are seven; DPM_E_MODE before
+ * the thread was started; DPM_E_ARGUMENT: it is not subscribed. */
 DPM_API int dpm_bus_subscribe(dpm_bus *bus, dpm_ring *ring, int event_fd);
 DPM_API int dpm_bus_unsubscribe(dpm_bus *bus, dpm_ring *ring);
 

@@ -36,8 +36,9 @@ typedef struct dpm_event {
 
 typedef struct dpm_ring dpm_ring;
 
-/* Bytes for a ring of `events` events (a power of two, 2..65536). */
+/* Bytes for a ring of `events` events (a power of two, 2..65536); 0 for other numbers. */
 DPM_API size_t dpm_ring_size(uint32_t events);
+/* NULL when the block is too small or not aligned to 16. */
 DPM_API dpm_ring *dpm_ring_init(void *block, size_t size, uint32_t events);
 DPM_API void dpm_ring_put(dpm_ring *ring, const dpm_event *event);
 /* 1 and the oldest event left, or 0. *lost grows by the events that were dropped before it. */

@@ -22,6 +22,7 @@ typedef struct dpm_history dpm_history;
 
 /* Bytes for a history of 1..65535 records; 0 for other numbers. */
 DPM_API size_t dpm_history_size(uint16_t records);
+/* NULL when the block is too small or not aligned to 16. */
 DPM_API dpm_history *dpm_history_init(void *block, size_t size, uint16_t records);
 /* Answer `number`, which came at `time`. A full history drops its oldest record. */
 DPM_API void dpm_history_put(dpm_history *history, uint64_t number, int64_t time, const uint8_t *octets, uint8_t n);

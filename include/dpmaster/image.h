@@ -23,6 +23,7 @@ typedef struct dpm_frame {
 typedef struct dpm_image dpm_image;
 
 DPM_API size_t dpm_image_size(void);
+/* In the caller's block; NULL when that is too small or not aligned to 16. */
 DPM_API dpm_image *dpm_image_init(void *block, size_t size);
 
 /* Writing side: hand over a copy of `frame`; its number is set here (the last one plus 1) and returned. */
@@ -33,7 +34,7 @@ DPM_API const dpm_frame *dpm_image_get(dpm_image *image);
 typedef struct dpm_outputs dpm_outputs;
 
 DPM_API size_t dpm_outputs_size(void);
-/* Outputs of `length` octets, 0..244; all zero, epoch 1. */
+/* Outputs of `length` octets, 0..244; all zero, epoch 1. NULL as dpm_image_init, and for a longer one. */
 DPM_API dpm_outputs *dpm_outputs_init(void *block, size_t size, uint16_t length);
 
 /* Application: change `n` octets at `offset` and commit the whole image in one step. Octets not named keep what was
@@ -45,9 +46,9 @@ DPM_API int64_t dpm_outputs_commit(dpm_outputs *outputs, uint16_t offset, const 
 DPM_API int64_t dpm_outputs_change(dpm_outputs *outputs, uint16_t offset, const uint8_t *keep, const uint8_t *octets,
                                    uint16_t n, int64_t now);
 /* Application: 1 when commit `number` (or one after it) was sent and answered, 0 not yet, DPM_E_DISCARDED when it
- * never will be. */
+ * never will be, DPM_E_ARGUMENT when there is no such commit. */
 DPM_API int dpm_outputs_was_sent(const dpm_outputs *outputs, uint64_t number);
-/* Application: copy of what the next commit builds on. */
+/* Application: copy, in the length of the outputs, of what the next commit builds on. */
 DPM_API void dpm_outputs_peek(const dpm_outputs *outputs, uint8_t *octets);
 
 /* Bus: the frame to send now; the octets are zeros (number 0) while no commit of this epoch exists. */

@@ -180,16 +180,16 @@ struct dpm_raw {
 typedef struct dpm_master dpm_master;
 
 DPM_API size_t dpm_master_size(uint16_t slaves);
-/* DPM_E_BLOCK, DPM_E_ARGUMENT, DPM_E_PARAMETER, DPM_E_ADDRESS. */
+/* DPM_E_BLOCK, DPM_E_ARGUMENT, DPM_E_PARAMETER, DPM_E_ADDRESS, DPM_E_SLOT. */
 DPM_API int dpm_master_init(void *block, size_t size, const dpm_master_config *config, dpm_master **master);
 DPM_API dpm_machine *dpm_master_machine(dpm_master *master);
 DPM_API dpm_station *dpm_master_station(dpm_master *master);
 
 /* Add a slave; its images are the caller's. Returns its index (0, 1, ...) or DPM_E_ADDRESS, DPM_E_DUPLICATE, DPM_E_FULL,
- * DPM_E_CONFIGURATION, DPM_E_LENGTH. */
+ * DPM_E_CONFIGURATION, DPM_E_LENGTH, DPM_E_ARGUMENT. What is done with an index that is nobody's is DPM_E_ARGUMENT. */
 DPM_API int dpm_master_add(dpm_master *master, const dpm_slave_set *set, dpm_outputs *outputs, dpm_image *inputs);
 /* Replace a slave's set (same address, same lengths, `active` as it is); what Set_Prm carries takes effect at the next
- * Set_Prm. */
+ * Set_Prm. Errors as dpm_master_add; DPM_E_LENGTH also when inputs or outputs would be of another length. */
 DPM_API int dpm_master_change(dpm_master *master, int index, const dpm_slave_set *set);
 /* New_Prm: Set_Prm and what follows, from wherever the slave is; it comes back with safe outputs. */
 DPM_API int dpm_master_new_prm(dpm_master *master, int index, int64_t now);

@@ -10,6 +10,7 @@
 
 #define DPM_CHARACTER_BITS 11 /* start, eight data, even parity, stop */
 #define DPM_TSYN 33           /* Tbit of silence before every request */
+#define DPM_TSYNI 11385       /* Tbit without such a silence that are babbling: 2 (2 (33 + 255 * 11)) + 33 */
 
 typedef struct dpm_parameters {
     uint32_t rate_num;       /* bit/s as a fraction: 500000/11 for 45.45 kbit/s */

@@ -11,7 +11,7 @@
 typedef struct dpm_realtime {
     int priority;        /* SCHED_FIFO, 1..99; 0: ordinary scheduling */
     int cpu;             /* the only one the thread runs on; -1: those it has */
-    bool lock;           /* its stack stays in memory; for blocks see dpm_lock */
+    bool lock;           /* its stack, 64 KiB of it, stays in memory; for blocks see dpm_lock */
 } dpm_realtime;
 
 /* For each item 0, or the errno it was refused with. */

@@ -118,7 +118,8 @@ DPM_API int dpm_slaves_init(void *block, size_t size, const dpm_parameters *para
 DPM_API dpm_machine *dpm_slaves_machine(dpm_slaves *slaves);
 /* The images are the caller's: `outputs` frames are written here (valid = false while the master is in Clear or the
  * exchange is lost), `inputs` frames are read (their first octets, padded with zeros to the configured length).
- * Returns the slave's index, or DPM_E_ADDRESS, DPM_E_DUPLICATE, DPM_E_FULL, DPM_E_CONFIGURATION, DPM_E_ARGUMENT. */
+ * Returns the slave's index, or DPM_E_ADDRESS, DPM_E_DUPLICATE, DPM_E_FULL, DPM_E_CONFIGURATION, DPM_E_ARGUMENT. What is
+ * done with an index that is nobody's is DPM_E_ARGUMENT. */
 DPM_API int dpm_slaves_add(dpm_slaves *slaves, const dpm_slave_config *config, dpm_image *outputs, dpm_image *inputs);
 DPM_API int dpm_slaves_get(const dpm_slaves *slaves, int index, dpm_slave_state_report *report);
 /* Unplug (nothing is answered, state kept as a powered card keeps it: the watchdog runs), plug in, or power-cycle. */

@@ -62,7 +62,6 @@ typedef struct dpm_ring_view {
     int64_t trr_max;
 } dpm_ring_view;
 
-
 /* What became of a request, besides the FC of the answer. */
 enum dpm_confirm_status {
     DPM_CONF_ANSWER = 0,  /* answered: look at fc, data */
@@ -139,7 +138,7 @@ DPM_API int dpm_station_init(void *block, size_t size, const dpm_station_config 
 DPM_API dpm_machine *dpm_station_machine(dpm_station *station);
 /* Up to 4 users, asked in the order they were added: the first has priority. DPM_E_FULL. */
 DPM_API int dpm_station_add_user(dpm_station *station, const dpm_fdl_user *user);
-/* Events (DPM_EV_FDL, DPM_EV_FOREIGN, DPM_EV_LATE) go to every ring added, up to 8. */
+/* Events go to every ring added, up to 8 (DPM_E_FULL), until it is removed (DPM_E_ARGUMENT: it is not there). */
 DPM_API int dpm_station_add_ring(dpm_station *station, dpm_ring *ring);
 DPM_API int dpm_station_remove_ring(dpm_station *station, dpm_ring *ring);
 /* Leave Offline for Listen_Token, or go Offline at once: nothing more is sent. */
