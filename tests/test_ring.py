@@ -376,6 +376,19 @@ def test_in_the_ring_two_foreign_tokens_of_ours_in_a_row_lead_to_listening():
     assert bus.state == lib.DPM_FDL_LISTEN_TOKEN
 
 
+@pytest.mark.parametrize("held", ["by a GAP poll", "by a request"])
+def test_a_copy_of_our_token_while_we_hold_it_is_one_that_another_takes(held):
+    """A token doubled on its way: NS has it now, and talking on would be talking in step with it, slot after slot."""
+    bus = Bus()
+    bus.entered()
+    if held == "by a request":
+        bus.master.request(30, lib.DPM_SRD_HIGH, b"\1")
+    assert bus.script.next(tokens=True)[0] != 0xDC
+    bus.script.answer(token(9, 5), tsdr=50)
+    assert bus.state == lib.DPM_FDL_ACTIVE_IDLE
+    assert bus.script.next(limit=bus.script.bits(5 * TSL), tokens=True) == b""
+
+
 @pytest.mark.parametrize("noise", ["E5", "FF", "00 00", "68", "DC 05"])
 @pytest.mark.parametrize("moment", range(4))
 def test_noise_at_every_moment_of_a_token_pass_heals(noise, moment):

@@ -30,9 +30,9 @@ static void put_event(dpm_station *st, int64_t time, uint16_t kind, int32_t a, i
 
 /* --- small facts ------------------------------------------------------------------------------------------------ */
 
-static bool holds_token(const dpm_station *st)
+bool dpm_station_talks(const dpm_station *st)
 {
-    return st->state >= DPM_FDL_USE_TOKEN && st->state != DPM_FDL_CHECK_TOKEN_PASS;
+    return st->state >= DPM_FDL_CLAIM_TOKEN && st->state != DPM_FDL_CHECK_TOKEN_PASS;
 }
 
 static bool in_ring(uint8_t state) { return state >= DPM_FDL_ACTIVE_IDLE && state != DPM_FDL_CLAIM_TOKEN; }
@@ -212,7 +212,7 @@ static void heard_request(dpm_station *st, const dpm_telegram *t, int64_t now)
     st->foreign = t->sa;
     if (st->config.role == DPM_ROLE_SOLE)
         give_way(st, t->sa, now);
-    else if (holds_token(st) || st->state == DPM_FDL_CLAIM_TOKEN)
+    else if (dpm_station_talks(st))
         dpm_station_drop_token(st, DPM_FDL_ACTIVE_IDLE, now, false);
 }
 
@@ -634,8 +634,7 @@ static void drop_stale_token(dpm_station *st, int64_t now)
 {
     const bool waits = st->tx_kind == DPM_TX_NONE &&
                        (st->state == DPM_FDL_AWAIT_DATA_RESPONSE || st->state == DPM_FDL_AWAIT_STATUS_RESPONSE);
-    const bool talks = holds_token(st) || st->state == DPM_FDL_CLAIM_TOKEN;
-    if (!talks || waits || now <= right_ends(st))
+    if (!dpm_station_talks(st) || waits || now <= right_ends(st))
         return;
     st->statistics.tokens_lost++;
     st->statistics.late_dropped += st->tx_kind != DPM_TX_NONE;

@@ -202,26 +202,18 @@ static void follow(dpm_station *st, uint8_t sa, uint8_t da, int64_t now)
 void dpm_token_heard(dpm_station *station, uint8_t sa, uint8_t da, const dpm_received *received)
 {
     const int64_t now = received->end_latest;
-    const bool passive = station->state == DPM_FDL_PASSIVE_IDLE; /* its address is nobody's */
-    if (sa == station->ring.ts && !passive) {
+    const bool own = sa == station->ring.ts && station->state != DPM_FDL_PASSIVE_IDLE; /* a listener's address is nobody's */
+    /* What seems to be ours, too: whoever it is for may take it. One to ourselves may be an echo that no port marked. */
+    if (dpm_station_talks(station) && !(own && da == sa))
+        dpm_station_drop_token(station, DPM_FDL_ACTIVE_IDLE, now, false);
+    if (own) {
         heard_own(station, now);
         return;
     }
     dpm_token_live(station, sa, DPM_LIVE_MASTER_IN_RING, now);
-    switch (station->state) {
-    case DPM_FDL_PASSIVE_IDLE:
-    case DPM_FDL_LISTEN_TOKEN:
+    if (station->state <= DPM_FDL_LISTEN_TOKEN) {
         listen(station, sa, da, now);
         return;
-    case DPM_FDL_CLAIM_TOKEN:
-    case DPM_FDL_USE_TOKEN:
-    case DPM_FDL_AWAIT_DATA_RESPONSE:
-    case DPM_FDL_PASS_TOKEN:
-    case DPM_FDL_AWAIT_STATUS_RESPONSE:
-        dpm_station_drop_token(station, DPM_FDL_ACTIVE_IDLE, now, false);
-        break;
-    default:
-        break;
     }
     station->own_heard = 0;
     if (da == station->ring.ts)
