@@ -621,6 +621,25 @@ def test_a_commit_made_in_clear_is_watched_from_operate_on():
     assert bus.master.status.latched and bus.master.status.fed_by == lib.DPM_FED_OPERATE
 
 
+@pytest.mark.parametrize(("away", "hold"), [("absent", False), ("absent", True), ("port", True)])
+def test_a_program_that_hangs_while_nothing_takes_its_outputs(away, hold):
+    """No output of its commit was alive when it hung, so nothing ran out: the commit is too old to begin with all the same."""
+    bus = Bus(output_watchdog=1 * S, slave={"hold": hold})
+    if away == "port":
+        bus.start()
+    bus.master.mode(lib.DPM_MODE_OPERATE, bus.script.now)
+    bus.master.commit(0, b"\x11\x11", bus.script.now)
+    if away == "port":
+        bus.exchange()
+        lib.dpm_master_port(bus.master.master, False, bus.script.now)
+    bus.script.silence(3 * S)
+    assert not bus.master.status.latched
+    lib.dpm_master_port(bus.master.master, True, bus.script.now)
+    assert [telegram[7:9] for telegram in (restart(bus), bus.exchange(), bus.exchange())] == [b"\0\0"] * 3
+    status = bus.master.status
+    assert status.latched and status.mode == lib.DPM_MODE_CLEAR
+
+
 def test_feeding_keeps_the_outputs():
     bus = Bus(output_watchdog=1 * S)
     bus.start()

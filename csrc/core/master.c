@@ -112,13 +112,14 @@ void dpm_master_feed(dpm_master *master, int64_t now, int by)
     feed(master, now, by);
 }
 
-void dpm_master_arm(dpm_master *master, int64_t time)
+bool dpm_master_arm(dpm_master *master, int64_t time)
 {
-    if (atomic_load_explicit(&master->armed, memory_order_relaxed))
-        return;
-    atomic_store_explicit(&master->armed, true, memory_order_release);
-    if (time > fed_at(master, master->asked_at))
-        feed(master, time, DPM_FED_COMMIT);
+    if (!atomic_load_explicit(&master->armed, memory_order_relaxed)) {
+        atomic_store_explicit(&master->armed, true, memory_order_release);
+        if (time > fed_at(master, master->asked_at))
+            feed(master, time, DPM_FED_COMMIT);
+    }
+    return !too_late(master, master->asked_at);
 }
 
 /* When the output watchdog runs out; outputs that no commit has ever touched are safe already. */

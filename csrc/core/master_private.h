@@ -116,8 +116,9 @@ bool dpm_slave_in_trouble(const dpm_slave *slave);
 void dpm_slave_space(dpm_slave *slave, int64_t now);
 
 /* master.c */
-/* Outputs of a commit made at `time` are alive: from now on the output watchdog watches the program. */
-void dpm_master_arm(dpm_master *master, int64_t time);
+/* Outputs of a commit made at `time` are alive: from now on the output watchdog watches the program. False: they must not
+ * be, for it has not stood by them for longer than that, and nothing of a commit was alive that could have shown it. */
+bool dpm_master_arm(dpm_master *master, int64_t time);
 bool dpm_master_exchanges(const dpm_master *master);
 /* The answer to what is under way for this slave changes its state no more; outputs are not sent again. */
 void dpm_master_drop(dpm_master *master, const dpm_slave *slave, int64_t now);

@@ -214,10 +214,10 @@ static void build_data(dpm_master *m, dpm_slave *slave, dpm_request *request)
 {
     const bool operate = may_have_outputs(m, slave);
     const dpm_frame *frame = operate ? dpm_outputs_take(slave->outputs) : NULL;
+    if (frame && frame->number && !dpm_master_arm(m, frame->time))
+        frame = NULL;
     slave->carried = frame ? frame->number : 0;
     slave->pays = slave->owes;
-    if (slave->carried)
-        dpm_master_arm(m, frame->time);
     request->dsap = DPM_NO_SAP;
     request->ssap = DPM_NO_SAP;
     if (m->config.data_retries >= 0)
