@@ -24,7 +24,7 @@ class GivenUp(BaseException):
 class Errand:
     """What a thread does on behalf of an event loop, which lives in `thread`. Once it is given up, its waits end."""
 
-    def __init__(self, loop: AbstractEventLoop, thread: int) -> None:
+    def __init__(self, loop: AbstractEventLoop, thread: object) -> None:
         self.thread = thread
         self.given_up = False
         self._loop = loop
@@ -56,13 +56,16 @@ class Errand:
 class _Here(threading.local):
     errand: Errand | None = None
 
+    def __init__(self) -> None:
+        self.thread = object()  # this thread and no other: `get_ident` of one that ended is given to a later one
+
 
 here = _Here()  # of this thread
 
 
-def caller() -> int:
+def caller() -> object:
     """The thread on whose account this one acts: its own, or that of the event loop it does an errand for."""
-    return here.errand.thread if here.errand else threading.get_ident()
+    return here.errand.thread if here.errand else here.thread
 
 
 def check() -> None:

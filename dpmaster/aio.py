@@ -45,7 +45,7 @@ class Worker:
 
     def __init__(self) -> None:
         self._loop = asyncio.get_running_loop()
-        self._errand = Errand(self._loop, threading.get_ident())
+        self._errand = Errand(self._loop, here.thread)
         self._jobs: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
         threading.Thread(target=self._work, name="dpmaster-aio", daemon=True).start()
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import os
 import threading
-import time
 import weakref
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -133,7 +132,7 @@ def _counters(port: Any) -> Mapping[str, int]:
     return {name: getattr(port.driver, name) for name, _ in ffi.typeof("dpm_driver_counters").fields}
 
 
-def _shut(process: _core.Process, handle: Any, events: list[Events], kept: list[Any]) -> None:
+def _shut(process: _core.Process, handle: Any, events: list[Events], kept: dict[int, Any]) -> None:
     """The end of a bus, by close() or by the collector. "After fork ... no finaliser touches the bus".
 
     `kept` is the memory that the thread uses: an argument outlives the thread, in whatever order a cycle is collected.
@@ -161,10 +160,10 @@ class Bus:
         self.process = _core.Process()
         self.closed = False
         self.master: Any = None
-        self.fed_thread = 0  # the thread of the last commit: only its waits feed the output watchdog
+        self.fed_thread: object = None  # the thread of the last commit: only its waits feed the output watchdog
         self._events: list[Events] = []
-        self._kept: list[Any] = []
-        self._starting = threading.Lock()
+        self._kept: dict[int, Any] = {}
+        self._starting = threading.RLock()
         self._handle = self._open(port, rate, echo, profile, allowance, direction_code(direction))
         self._finish = weakref.finalize(self, _shut, self.process, self._handle, self._events, self._kept)
         self._finish.atexit = False  # a Master that still lives says its stop words first
@@ -192,8 +191,9 @@ class Bus:
 
     def _keep(self, size: int) -> Any:
         """A block that lives as long as the thread at least."""
-        self._kept.append(_core.block(size))
-        return self._kept[-1]
+        memory = _core.block(size)
+        self._kept[id(memory)] = memory
+        return memory
 
     def guard(self) -> None:
         """Raise ClosedError in a forked child, or after close."""
@@ -209,7 +209,7 @@ class Bus:
         _core.check(lib.dpm_master_init(memory, len(memory), config, handle), "set up the master")
         self._call(lib.dpm_bus_start(self._handle, lib.dpm_master_machine(handle[0]), handle[0]), "start the bus thread")
         self.scheduling = schedule(self._realtime, self._profile() != "pty", partial(lib.dpm_bus_realtime, self._handle),
-                                   self._kept, f"the bus thread on {self.path}")
+                                   list(self._kept.values()), f"the bus thread on {self.path}")
         with self._starting:
             self.master = handle[0]
             for each in self._events:
@@ -240,7 +240,7 @@ class Bus:
     def add(self, settings: Any, outputs: Any, image: Any, memory: tuple[Any, ...]) -> int:
         """Give a slave to the thread, with its images and the memory they are in."""
         self.guard()
-        self._kept.append(memory)
+        self._kept[id(memory)] = memory
         if self.scheduling.locked and lock(memory):
             self.scheduling = replace(self.scheduling, locked=False)
         return self._call(lib.dpm_bus_add(self._handle, settings, outputs, image), "add the station", address=settings.address)
@@ -261,7 +261,7 @@ class Bus:
         """Take a slave that is inactive from the thread, and with it the need to keep its memory."""
         self.guard()
         self._call(lib.dpm_bus_remove(self._handle, index), "remove the station")
-        self._kept[:] = [each for each in self._kept if each is not memory]
+        self._kept.pop(id(memory), None)
 
     def set_mode(self, mode: Mode) -> None:
         self.guard()
@@ -322,31 +322,35 @@ class Bus:
 
     def request(self, raw: Any, timeout: float | None) -> bool:
         """Carry out one ``dpm_raw``: True when it is done, False when `timeout` passed and it was taken back."""
-        self.guard()
-        self._call(lib.dpm_bus_request(self._handle, raw), "request", address=raw.da)
-        return self._await_done(raw, lib.dpm_bus_cancel, timeout)
+        return self._lend(raw, lib.dpm_bus_request, lib.dpm_bus_cancel, timeout, "request", address=raw.da)
 
     def order(self, control: Any, timeout: float | None) -> bool:
         """The same for one ``dpm_control``; that of another thread comes first."""
-        deadline = None if timeout is None else time.monotonic() + timeout
+        return self._lend(control, lib.dpm_bus_order, lib.dpm_bus_revoke, timeout, "order Global_Control")
 
-        def placed() -> int | None:
-            code = int(lib.dpm_bus_order(self._handle, control))
-            return None if code == lib.DPM_E_BUSY else code
+    def _lend(self, job: Any, give: Callable[[Any, Any], int], take_back: Callable[[Any, Any], int], timeout: float | None,
+              what: str, **context: object) -> bool:
+        """Let the thread carry out `job`, once it has room. Wherever Ctrl-C comes, its memory is ours again only when it is
+        done or was taken back; a thread that is leaving gives nothing back, and is outlived by what is kept."""
+        given = False
 
-        code = self.wait(placed, timeout)
-        if code is None:
-            return False
-        self._call(code, "order Global_Control")
-        left = None if deadline is None else max(0.0, deadline - time.monotonic())
-        return self._await_done(control, lib.dpm_bus_revoke, left)
+        def done() -> bool | None:
+            nonlocal given
+            if not given:
+                code = give(self._handle, job)
+                if code == lib.DPM_E_BUSY:
+                    return None
+                self._call(code, what, **context)
+                given = True
+            return job.done or None
 
-    def _await_done(self, job: Any, take_back: Callable[[Any, Any], int], timeout: float | None) -> bool:
+        self.guard()
+        self._kept[id(job)] = job
         try:
-            return self.wait(lambda: job.done or None, timeout) is not None
+            return self.wait(done, timeout) is not None
         finally:
-            if not job.done:  # its memory is ours again only after this
-                take_back(self._handle, job)
+            if job.done or take_back(self._handle, job) == lib.DPM_OK:
+                self._kept.pop(id(job), None)
 
     def wait(self, ready: Callable[[], T | None], timeout: float | None) -> T | None:
         """Wait until `ready` returns something: that, or None after `timeout` s. In the thread of the last commit it feeds."""
@@ -372,16 +376,16 @@ class Bus:
         errand = _errand.here.errand
         if errand is not None:
             errand.pass_on(self.feed_from_wait)
-        elif threading.get_ident() == self.fed_thread:
+        elif _errand.here.thread is self.fed_thread:
             self.feed(Feed.WAIT)
 
     def subscribe(self, events: Events) -> None:
         """Events begin to arrive at once, or when the thread starts."""
         self.guard()
         with self._starting:
+            self._events.append(events)  # first: Ctrl-C behind the call below leaves nothing that nobody ends
             if self.master is not None:
                 self._subscribe(events)
-            self._events.append(events)
 
     def _subscribe(self, events: Events) -> None:
         code = lib.dpm_bus_subscribe(self._handle, events.ring, events.fileno())
@@ -390,12 +394,14 @@ class Bus:
                                      dpm_code=code)
         self._call(code, "subscribe to events")
 
-    def unsubscribe(self, events: Events) -> None:
+    def unsubscribe(self, events: Events) -> bool:
+        """True when nothing is written there any more. False: the bus is being closed, and ends it behind its thread."""
         with self._starting:
-            if events in self._events and self.process.here and not self.closed:
+            if events in self._events:
+                if self.master is not None and lib.dpm_bus_unsubscribe(self._handle, events.ring) == lib.DPM_E_CLOSED:
+                    return False
                 self._events.remove(events)
-                if self.master is not None:
-                    lib.dpm_bus_unsubscribe(self._handle, events.ring)
+            return True
 
     def close(self) -> None:
         """End the thread, close the port, wake every waiter with ClosedError. Idempotent, within a second."""

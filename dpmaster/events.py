@@ -132,7 +132,7 @@ class Events:
         try:
             bus.subscribe(self)
         except BaseException:
-            self.end()
+            self.close()
             raise
 
     def fileno(self) -> int:
@@ -193,6 +193,7 @@ class Events:
 
     @contextmanager
     def _using(self) -> Iterator[None]:
+        self._guard()  # in a forked child: a thread of the parent may have held the lock
         with self._lock:
             self._guard()
             self._users += 1
@@ -209,7 +210,9 @@ class Events:
             try:
                 event = self.take()
             except ClosedError:
-                return
+                if self._ended:
+                    return
+                raise
             if event is not None:
                 yield event
 
@@ -222,7 +225,9 @@ class Events:
                     with self._using():  # what is watched stays open, whoever closes the subscription
                         await _readable(self._fd)
             except ClosedError:
-                return
+                if self._ended:
+                    return
+                raise
             if event is not None:
                 yield event
 
@@ -243,9 +248,8 @@ class Events:
         """End the subscription. Idempotent."""
         self._process.guard("the subscription of events")
         bus = self._bus()
-        if bus is not None:
-            bus.unsubscribe(self)
-        self.end()
+        if bus is None or bus.unsubscribe(self):
+            self.end()
 
     def __enter__(self) -> Events:
         return self

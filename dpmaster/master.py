@@ -17,6 +17,7 @@ import threading
 import time
 import weakref
 from collections.abc import Mapping, MutableMapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -234,6 +235,7 @@ class Master(Services):
 
     @property
     def stations(self) -> tuple[Station, ...]:
+        self._bus.process.guard(f"the master on {self._bus.path}")
         with self._lock:
             return tuple(self._stations.values())
 
@@ -255,9 +257,9 @@ class Master(Services):
             if self._bus.master is not None:
                 try:
                     self._settle_watchdogs()
-                    self._enter(station)
                     if self.mode >= Mode.CLEAR:  # it is started at once, with no operate() to warn
                         self._warn_of(station)
+                    self._enter(station)
                 except BaseException:
                     del self._stations[station.address]
                     station._detach(station.active)
@@ -338,33 +340,44 @@ class Master(Services):
 
     def _start(self) -> None:
         """Begin on the bus with the stations added so far; their MaxTsdr has settled Tsl."""
+        self._bus.guard()
         with self._lock:
-            self._bus.guard()
-            if self._bus.master is not None:
-                return
-            config = ffi.new("dpm_master_config *")
-            config.station.parameters = self._parameters.to_c()[0]
-            config.station.address = self.address
-            config.station.role = self._role(self._parameters)
-            config.slaves = self._room
-            config.cycle_time = round((self.cycle_time or 0) * NS)
-            config.output_watchdog = math.ceil((self.output_watchdog or 0) * NS)  # 0 is off
-            config.data_control_time = round(self.data_control_time * NS)
-            config.auto_clear = self.auto_clear
-            config.data_retries = -1 if self.data_retries is None else self.data_retries
-            self._listen()
-            self._bus.start(config, self._room)
+            if self._bus.master is None:
+                self._begin()
             for station in self._stations.values():
-                self._enter(station)
+                if station._index is None:  # also one that failed to enter the first time
+                    self._enter(station)
+
+    def _begin(self) -> None:
+        config = ffi.new("dpm_master_config *")
+        config.station.parameters = self._parameters.to_c()[0]
+        config.station.address = self.address
+        config.station.role = self._role(self._parameters)
+        config.slaves = self._room
+        config.cycle_time = round((self.cycle_time or 0) * NS)
+        config.output_watchdog = math.ceil((self.output_watchdog or 0) * NS)  # 0 is off
+        config.data_control_time = round(self.data_control_time * NS)
+        config.auto_clear = self.auto_clear
+        config.data_retries = -1 if self.data_retries is None else self.data_retries
+        self._listen()
+        self._bus.start(config, self._room)
 
     def _enter(self, station: Station) -> None:
         station._index = self._bus.add(station._settings(), station._outputs, station._image, station._memory)
 
     def _listen(self) -> None:
         """Log what happens from a thread of its own, which keeps neither the master nor the interpreter alive."""
-        self._logger = threading.Thread(target=_log_events, args=(weakref.ref(self), Events(self._bus, 256), self._log),
-                                        name="dpmaster-log", daemon=True)
-        self._logger.start()
+        if self._logger is not None:
+            return  # from a start that failed
+        events = Events(self._bus, 256)
+        logger = threading.Thread(target=_log_events, args=(weakref.ref(self), events, self._log), name="dpmaster-log",
+                                  daemon=True)
+        try:
+            logger.start()
+        except BaseException:
+            events.close()
+            raise
+        self._logger = logger
 
     # ---- watchdogs
 
@@ -452,16 +465,19 @@ class Master(Services):
             self._leave(Mode.OFFLINE, timeout)
 
     def _leave(self, mode: Mode, timeout: float) -> None:
-        try:
-            self._rest_stations()
-        finally:
-            self._bus.set_mode(mode)
+        with ExitStack() as held:
+            try:
+                self._rest_stations(held)
+            finally:
+                self._bus.set_mode(mode)
         self._await_mode(mode, timeout)
 
-    def _rest_stations(self) -> None:
-        """"Clear alone is not stillness": each drive says its stop word first; none can keep the master from leaving."""
+    def _rest_stations(self, held: ExitStack) -> None:
+        """"Clear alone is not stillness": each drive says its stop word first, and no other thread a word behind it; none can
+        keep the master from leaving."""
         deadline = time.monotonic() + REST_TIME
         for station in self.stations:
+            held.enter_context(station._commands)
             if time.monotonic() <= deadline:
                 self._rest(station)
             elif station.state == StationState.DATA:

@@ -146,8 +146,9 @@ class Station:
         self.input_length, self.output_length = self._lengths()
         self._master: Master | None = None
         self._index: int | None = None
-        self._commit_lock = threading.Lock()
-        self._image_lock = threading.Lock()
+        # Who is interrupted by a signal may find its handler committing or reading too: each is one call to C.
+        self._commands = threading.RLock()
+        self._image_lock = threading.RLock()
         self._factors = (0, 0)
         self._history: Any = ffi.NULL
         self.signals = Signals(self)
@@ -290,7 +291,8 @@ class Station:
     def _rest(self) -> None:
         """Hook: the master is about to leave Operate. A drive commits its stop word and waits, bounded, until it was answered.
 
-        What it raises is logged and stops nothing. It runs only while the station is in Data_Exchange.
+        Other threads' commits to the station wait from here on until Clear is ordered. What it raises is logged and stops
+        nothing. It runs only while the station is in Data_Exchange.
         """
 
     # ---- the process image
@@ -305,10 +307,11 @@ class Station:
     def frame(self) -> Frame:
         """The newest inputs with cycle, time and validity. Never waits."""
         self._owner()
+        frame = ffi.new("dpm_frame *")
         with self._image_lock:
-            frame = lib.dpm_image_get(self._image)
-            octets = bytes(ffi.buffer(frame.octets, frame.length))
-            return Frame(octets.ljust(self.input_length, b"\0"), frame.number, frame.cycle, frame.time / NS, frame.valid)
+            lib.dpm_image_read(self._image, frame)
+        octets = bytes(ffi.buffer(frame.octets, frame.length))
+        return Frame(octets.ljust(self.input_length, b"\0"), frame.number, frame.cycle, frame.time / NS, frame.valid)
 
     @property
     def inputs(self) -> bytes:
@@ -320,7 +323,7 @@ class Station:
         """What the next commit builds on: the last commit, or zeros when outputs went safe since then."""
         self._owner()
         octets = ffi.new("uint8_t[]", self.output_length or 1)
-        with self._commit_lock:
+        with self._commands:
             lib.dpm_outputs_peek(self._outputs, octets)
         return bytes(ffi.buffer(octets, self.output_length))
 
@@ -348,7 +351,7 @@ class Station:
         keep = _arguments.octets(f"{self.name}: keep", keep, 0, lib.DPM_IO_MAX)
         if len(keep) not in (0, len(data)):
             raise ConfigurationError(f"{self.name}: a mask of {len(keep)} octets for {len(data)} octets: as many, or none")
-        with self._commit_lock:
+        with self._commands:
             number = lib.dpm_outputs_change(self._outputs, offset, keep or ffi.NULL, data, len(data), _core.now())
         if number == lib.DPM_E_LATCHED:
             raise NotOperatingError(master._latch_text(), dpm_code=number)
@@ -438,11 +441,12 @@ class Station:
         """
         master = self._owner()
         _arguments.timeout(timeout)
-        master._rest(self)
-        self._active = False
-        if self._index is None:
-            return
-        master._bus.activate(self._index, False)
+        with self._commands:
+            master._rest(self)
+            self._active = False
+            if self._index is None:
+                return
+            master._bus.activate(self._index, False)
         # Its turn to be released comes with the next cycle.
         within = None if timeout is None else timeout + (master.cycle_time or 0)
         if master._bus.wait(lambda: True if self.state == StationState.INACTIVE else None, within) is None:
@@ -464,10 +468,11 @@ class Station:
         if self._index is None:
             return
         waits = self.state == StationState.DATA
-        master._rest(self)
         master._settle_watchdogs()
-        master._bus.change(self._index, self._settings())
-        master._bus.new_prm(self._index)
+        with self._commands:
+            master._rest(self)
+            master._bus.change(self._index, self._settings())
+            master._bus.new_prm(self._index)
         if waits:
             self._await_data(master, timeout)
 

@@ -26,6 +26,7 @@ from dpmaster import (
     BusParameters,
     ClosedError,
     ConfigurationError,
+    DPError,
     DPTimeout,
     Event,
     EventKind,
@@ -295,6 +296,26 @@ def test_closing_leaves_nothing_behind(wire: Wire) -> None:
         assert settles(before)
 
 
+def test_a_begin_that_fails_can_be_tried_again_and_leaves_nothing_behind(wire: Wire, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = descriptors(), threads()
+    master = Master(wire.path)
+    pumps = [master.add(station(address)) for address in (5, 6)]
+    with monkeypatch.context() as patched:
+        patched.setattr(master._bus, "start", lambda *_: (_ for _ in ()).throw(DPError("no thread")))
+        for _ in range(8):  # more often than there is room for subscribers
+            with pytest.raises(DPError, match="no thread"):
+                master.clear()
+    with monkeypatch.context() as patched:
+        patched.setattr(pumps[1], "_settings", lambda: (_ for _ in ()).throw(DPError("no such settings")))
+        with pytest.raises(DPError, match="no such settings"):
+            master.clear()
+    master.clear()
+    assert [pump._index for pump in pumps] == [0, 1]
+    master.close()
+    del master, pumps
+    assert settles(before)
+
+
 def test_closing_while_the_interpreter_ends_ends_the_thread(wire: Wire, monkeypatch: pytest.MonkeyPatch) -> None:
     """By then finalisers have had their turn and do nothing any more, unless they are told to."""
     before = descriptors(), threads()
@@ -357,14 +378,27 @@ def test_ctrl_c_leaves_a_wait_and_closes(wire: Wire) -> None:
 
 @pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")  # fork with threads is what is tested
 def test_a_forked_child_may_not_touch_the_bus(master: Master) -> None:
-    master.add(station())
+    pump = master.add(station())
     events = master.events()
     master.clear()
+    forked, held = threading.Event(), threading.Event()
+
+    def hold() -> None:  # in the child nobody lets go of these
+        with master._lock, master._closing, events._lock, pump._commands, pump._image_lock:
+            held.set()
+            forked.wait()
+
+    holder = threading.Thread(target=hold)
+    holder.start()
+    held.wait()
     pid = os.fork()
+    forked.set()
     if pid == 0:
         code = 1
+        signal.alarm(20)
         try:
-            for number, call in enumerate([*CALLS, lambda m: m.close(), lambda m: events.take(), lambda m: events.close()]):
+            for number, call in enumerate([*CALLS, lambda m: m.close(), lambda m: m.stations, lambda m: m[5],
+                                           lambda m: list(events), lambda m: events.take(), lambda m: events.close()]):
                 code = 10 + number
                 try:
                     call(master)
@@ -379,6 +413,7 @@ def test_a_forked_child_may_not_touch_the_bus(master: Master) -> None:
             code = 0
         finally:
             os._exit(code)
+    holder.join()
     assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0
     cycle = master.wait_cycle()
     assert master.wait_cycle() > cycle

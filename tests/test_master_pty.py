@@ -6,20 +6,25 @@ The cards here are the plainest there are: inputs echo outputs. What a drive mak
 
 from __future__ import annotations
 
+import gc
 import logging
 import os
+import select
 import signal
 import subprocess
 import sys
 import threading
 import time
+import weakref
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from typing import Any
 
 import pytest
 from waiting import until
 
 from dpmaster import (
+    ClosedError,
     ConfigurationError,
     Diagnosis,
     DPTimeout,
@@ -33,7 +38,9 @@ from dpmaster import (
     Station,
     StationError,
     StationState,
+    services,
 )
+from dpmaster._core import ffi, lib
 from dpmaster.emulator import Card, Exchange, Segment, SlaveState
 from dpmaster.emulator.cards import SIP1
 
@@ -350,6 +357,28 @@ def test_what_does_not_feed_the_output_watchdog(brief: Station, kind: str) -> No
         brief.outputs = b"run!"
 
 
+def test_a_later_thread_is_not_the_one_that_committed(brief: Station) -> None:
+    """Python gives the ident of a thread that has ended to one that begins later."""
+    master = master_of(brief)
+    idents: list[int] = []
+
+    def commit() -> None:
+        brief.outputs = b"run!"
+        idents.append(threading.get_ident())
+
+    def watch() -> None:
+        idents.append(threading.get_ident())
+        end = outlasts(master)
+        while len(set(idents)) < len(idents) and master.mode == Mode.OPERATE and time.monotonic() < end:
+            master.wait_cycle()
+
+    for target in (commit, watch, watch):
+        thread = threading.Thread(target=target)
+        thread.start()
+        thread.join()
+    assert len(set(idents)) == len(idents) or master.mode == Mode.CLEAR
+
+
 def test_operating_twice_changes_nothing(brief: Station) -> None:
     """A second operate() takes the watchdog's last feed for no new start: a program that hangs behind it is still caught."""
     master = master_of(brief)
@@ -364,6 +393,74 @@ def test_no_output_watchdog_is_logged(wire: Segment, card: Echo, caplog: pytest.
         master.add(Station(5, IDENT, CONFIGURATION))
         master.operate()
     assert "the output watchdog is off" in caplog.text
+
+
+# ---- signals
+
+
+@pytest.mark.parametrize("call", [
+    lambda s: setattr(s, "outputs", b"news"), lambda s: s.outputs, lambda s: s.frame,
+], ids=["commit", "outputs", "frame"])
+def test_a_signals_handler_may_do_what_it_interrupted(running: Station, call: Callable[[Station], object]) -> None:
+    done = threading.Event()
+
+    def handle(_frame: Any, event: str, function: Any) -> None:
+        if event == "c_return" and function.__name__.startswith("dpm_"):  # there Python looks for signals
+            sys.setprofile(None)
+            call(running)
+
+    def work() -> None:
+        sys.setprofile(handle)
+        call(running)
+        assert sys.getprofile() is None
+        done.set()
+
+    threading.Thread(target=work, daemon=True).start()
+    assert done.wait(5)
+
+
+def interrupted(call: Callable[[], object], at: int) -> bool:
+    """Make the call, with Ctrl-C the `at`-th time that Python looks for a signal in this package: whether it came so far."""
+    left = at
+
+    def look(frame: Any, event: str, _: object) -> None:
+        nonlocal left
+        if event in ("call", "c_return") and "dpmaster" in frame.f_code.co_filename:
+            left -= 1
+            if not left:
+                sys.setprofile(None)
+                raise KeyboardInterrupt
+
+    sys.setprofile(look)
+    with suppress(KeyboardInterrupt):
+        call()
+    sys.setprofile(None)
+    return left <= 0
+
+
+def test_ctrl_c_at_any_moment_takes_a_request_back(master: Master, running: Station, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the bus thread still knew would be written to when nobody keeps it any more."""
+    asked: list[Any] = []
+    make = services._raw_request
+    monkeypatch.setattr(services, "_raw_request", lambda *arguments: asked.append(make(*arguments)) or asked[-1])
+    at = 1
+    while interrupted(running.get_cfg, at):
+        known = [raw.done for raw in asked]
+        running.get_cfg()  # the queue's turn is over behind this one
+        assert [raw.done for raw in asked[:-1]] == known, f"look {at}"
+        asked.clear()
+        at += 1
+    assert at > 20
+
+
+def test_ctrl_c_at_any_moment_takes_a_global_control_back(master: Master, running: Station) -> None:
+    control = ffi.new("dpm_control *", {"da": 127, "clear": -1})
+    bus, at = master._bus._handle, 1
+    while interrupted(lambda: master.global_control(clear=True), at):
+        assert lib.dpm_bus_order(bus, control) == lib.DPM_OK, f"look {at}: one is left there"
+        lib.dpm_bus_revoke(bus, control)
+        at += 1
+    assert at > 20
 
 
 # ---- leaving
@@ -383,6 +480,113 @@ def test_the_stop_word_comes_before_clear(master: Master, card: Echo, way: str) 
         assert master.mode == {"clear": Mode.CLEAR, "stop": Mode.STOP, "offline": Mode.OFFLINE}[way]
         getattr(master, way)()
         assert len(drive.rested) == 1
+
+
+@pytest.mark.parametrize("way", ["clear", "close", "deactivate", "reparameterise"])
+def test_no_other_thread_commits_between_the_stop_word_and_clear(master: Master, card: Echo, way: str,
+                                                                 monkeypatch: pytest.MonkeyPatch) -> None:
+    drive = master.add(Drive())
+    master.operate()
+    left = threading.Event()
+
+    def jog() -> None:
+        with suppress(ClosedError):
+            while not left.is_set():
+                drive.outputs = b"RUN!"
+
+    thread = threading.Thread(target=jog)
+    thread.start()
+    until(lambda: card.written == [b"RUN!"])
+    rest = drive._rest
+
+    def rest_and_leave() -> None:
+        try:
+            rest()
+        finally:
+            left.set()
+
+    monkeypatch.setattr(drive, "_rest", rest_and_leave)
+    getattr(master if hasattr(master, way) else drive, way)()
+    thread.join()
+    assert card.written == [b"RUN!", b"STOP"]
+
+
+class Slow:
+    """A master whose stations are gone: it leaves them for some 0.4 s."""
+
+    def __init__(self, wire: Segment) -> None:
+        self.wire = wire
+        for address in range(10, 18):
+            wire.attach(Echo(address))
+        self.port = wire.port()
+        self.master = Master(self.port)
+        for address in range(10, 18):
+            self.master.add(Station(address, IDENT, CONFIGURATION))
+        self.master.operate()
+
+    def end(self) -> threading.Thread:
+        """It is being closed when this returns, as by a second Ctrl-C or the collector."""
+        self.wire.cut(self.port)
+        thread = threading.Thread(target=self.master._bus.close)
+        thread.start()
+        until(lambda: self.master.closed)
+        return thread
+
+
+@pytest.fixture
+def slow() -> Iterator[Slow]:
+    with Segment(cards=8) as wire:
+        made = Slow(wire)
+        yield made
+        made.master.close()
+
+
+def test_requests_given_up_while_the_bus_is_left_keep_their_memory(slow: Slow, monkeypatch: pytest.MonkeyPatch) -> None:
+    bus, lent = slow.master._bus, list[weakref.ref[Any]]()
+    lend, began = bus._lend, threading.Barrier(6)
+
+    def watched(job: Any, give: Any, take_back: Any, *rest: Any, **context: Any) -> bool:
+        def noted(handle: Any, job: Any) -> int:
+            code = int(take_back(handle, job))
+            if code != lib.DPM_OK:
+                lent.append(weakref.ref(job))
+            return code
+
+        return lend(job, give, noted, *rest, **context)
+
+    monkeypatch.setattr(bus, "_lend", watched)
+
+    def ask() -> None:
+        began.wait()
+        with suppress(ClosedError):
+            while True:
+                with suppress(StationError):  # nobody is there
+                    slow.master.request(9, "fdl_status", timeout=None)
+
+    asking = [threading.Thread(target=ask) for _ in range(5)]
+    for thread in asking:
+        thread.start()
+    began.wait()
+    ending = slow.end()
+    for thread in asking:
+        thread.join()
+    gc.collect()
+    assert all(job() is not None for job in lent)
+    ending.join()
+
+
+def test_a_subscription_ended_while_the_bus_is_left_gives_its_descriptor_to_nobody(slow: Slow) -> None:
+    events = slow.master.events()
+    ending = slow.end()
+    events.close()
+    others = [os.eventfd(0, os.EFD_NONBLOCK) for _ in range(5)]  # one of them would be what the thread still writes to
+    ending.join()
+    try:
+        assert select.select(others, [], [], 0)[0] == []
+        assert events.closed
+    finally:
+        for fd in others:
+            os.close(fd)
 
 
 def test_leaving_unlocks_the_stations(wire: Segment, master: Master, running: Station, card: Echo) -> None:

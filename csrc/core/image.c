@@ -71,6 +71,11 @@ const dpm_frame *dpm_image_get(dpm_image *image)
     return &image->buffers[image->front];
 }
 
+void dpm_image_read(dpm_image *image, dpm_frame *frame)
+{
+    *frame = *dpm_image_get(image);
+}
+
 /* A 64-bit number of one writer in 32-bit atomics (Lamport 1977): the high half is written before and after the low
  * one and read in the opposite order, so equal high halves enclose a low half that belongs to them. A reader repeats
  * only when the high half changes under it, once in 2^32 numbers. */

@@ -9,7 +9,6 @@ virtual time too.
 from __future__ import annotations
 
 import logging
-import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, MutableMapping
 from dataclasses import dataclass, fields
@@ -133,7 +132,6 @@ class Drive(Station, ABC, Generic[S]):
         self._word_order: WordOrder = word_order
         self._words = words
         self.layout = layout
-        self._commands = threading.RLock()
         self._reverse = False
         self._pending: int | None = None
         self._settled = 0.0

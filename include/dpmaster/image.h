@@ -30,6 +30,8 @@ DPM_API dpm_image *dpm_image_init(void *block, size_t size);
 DPM_API uint64_t dpm_image_put(dpm_image *image, const dpm_frame *frame);
 /* Reading side: the newest frame, valid until the next call; never NULL. */
 DPM_API const dpm_frame *dpm_image_get(dpm_image *image);
+/* Reading side: a copy of it, for who may read again before it is done: a signal's handler. */
+DPM_API void dpm_image_read(dpm_image *image, dpm_frame *frame);
 
 typedef struct dpm_outputs dpm_outputs;
 
