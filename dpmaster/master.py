@@ -494,7 +494,9 @@ class Master(Services):
     def _await_mode(self, mode: Mode, timeout: float) -> None:
         if self._bus.wait(lambda: True if self._status().mode == mode else None, timeout) is None:
             self._bus.check_port()
-            raise DPTimeout(f"the master did not reach {mode.name.title()} in {timeout} s, it is in {self.mode.name.title()}")
+            why_not = f"; {self._latch_text()}" if self._status().latched else ""
+            raise DPTimeout(f"the master did not reach {mode.name.title()} in {timeout} s, it is in {self.mode.name.title()}"
+                            f"{why_not}")
 
     def _await_stations(self, timeout: float | None) -> list[Station]:
         """Wait until all active stations exchange; those that do not, after `timeout` s or when they refuse for good."""

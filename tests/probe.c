@@ -11,7 +11,7 @@
 typedef struct probe {
     dpm_machine machine;
     int64_t pause;       /* ns between two exchanges; -1: silent */
-    int64_t patience;    /* ns for an answer; 0: none is awaited, the next request is due at once */
+    int64_t patience;    /* ns for an answer; 0: none is awaited, the next request is due at once; -1: it offers too late */
     uint8_t request[32];
     uint64_t n;
     uint64_t answer;     /* octets of an answer */
@@ -69,7 +69,6 @@ static void sent(dpm_machine *machine, int64_t start, int64_t end_earliest, int6
 static void ask(dpm_machine *machine, int64_t now, dpm_offer *offer)
 {
     probe *p = (probe *)machine;
-    (void)now;
     p->asks++;
     memset(offer, 0, sizeof *offer);
     offer->wake = p->deadline ? p->deadline : DPM_NEVER;
@@ -78,7 +77,7 @@ static void ask(dpm_machine *machine, int64_t now, dpm_offer *offer)
     offer->octets = p->request;
     offer->n = p->n;
     offer->not_before = p->next;
-    offer->not_after = DPM_NEVER;
+    offer->not_after = p->patience < 0 ? now - 1 : DPM_NEVER;
 }
 
 probe *probe_new(const uint8_t *request, size_t n, size_t answer, int64_t pause, int64_t patience)

@@ -25,6 +25,7 @@ ANSWER = bytes.fromhex("10 02 05 00 07 16")
 MS = 1_000_000
 SECOND = 1000 * MS
 SILENT = -1
+TOO_LATE = -1
 BOUND = 10 * SECOND  # for what comes at once, on any machine
 
 
@@ -170,6 +171,13 @@ def test_a_request_waits_for_its_time(opened: Opener) -> None:
     assert bus.count("early") == 0
 
 
+def test_what_is_offered_too_late_is_not_sent(opened: Opener) -> None:
+    """The host may have been away between the question and the write: "past not-after it is dropped"."""
+    bus = opened(patience=TOO_LATE)
+    bus.wait_for(lambda: bus.count("asks") > 50)
+    assert not select.select([bus.far], [], [], 0)[0]
+
+
 def test_a_machine_with_nothing_to_do_costs_nothing(opened: Opener) -> None:
     bus = opened(pause=SILENT)
     before = bus.info
@@ -177,6 +185,14 @@ def test_a_machine_with_nothing_to_do_costs_nothing(opened: Opener) -> None:
     after = bus.info
     assert after.wakeups - before.wakeups <= 3  # the calls themselves
     assert after.cpu_time - before.cpu_time < 20 * MS
+
+
+def test_an_exchange_costs_a_few_wakes(opened: Opener) -> None:
+    """For the request's time and for each piece of the answer, and none in between: a program that polls has hundreds."""
+    bus = opened(pause=10 * MS)
+    before = bus.info
+    bus.answer(20)
+    assert bus.info.wakeups - before.wakeups <= 4 * 20
 
 
 def test_the_thread_takes_no_signal(opened: Opener) -> None:

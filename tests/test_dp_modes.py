@@ -491,15 +491,16 @@ def test_deactivated_and_activated_before_the_unlock_is_out():
     bus.until(lambda: bus.state(1) == lib.DPM_ST_DATA)
 
 
-def test_new_prm_goes_from_data_to_set_prm_and_on():
+@pytest.mark.parametrize("hold", [False, True])
+def test_new_prm_goes_from_data_to_set_prm_and_on(hold):
     """J.2: "New_Prm flag: from DATA send Set_Prm (go PRM), then on"."""
-    bus = Bus()
+    bus = Bus(slave={"hold": hold})
     bus.start()
     bus.master.mode(lib.DPM_MODE_OPERATE, bus.script.now)
     bus.master.commit(0, b"\x11\x11", bus.script.now)
     bus.exchange()
     new = ffi.new("dpm_slave_set *", {"address": 8, "ident_number": 0x0A35, "configuration": b"\x21", "configuration_length": 1,
-                                      "user_parameters": b"\x42", "user_parameters_length": 1})
+                                      "user_parameters": b"\x42", "user_parameters_length": 1, "hold": hold})
     assert lib.dpm_master_change(bus.master.master, 0, new) == 0
     assert bus.exchange()[7:9] == b"\x11\x11", "at the next Set_Prm, and no sooner"
     assert lib.dpm_master_new_prm(bus.master.master, 0, bus.script.now) == 0

@@ -293,6 +293,8 @@ def test_a_time_out_is_judged_only_by_silence():
     master, script = stopped(allowance=20 * MS)
     request = master.request(8, lib.DPM_SRD_HIGH, b"", 60, 62)
     script.next()
+    script.silence(20 * MS + script.bits(199))
+    assert not request.done, "a slot and the allowance: silence before then proves nothing"
     script.now += 15 * MS
     assert not Offer(master.machine, script.now).octets
     script.answer(DIAG)
@@ -419,6 +421,22 @@ def test_a_late_sc_acknowledges_nobody_else(given_up, distrusted):
     script.next()
     script.answer("E5")
     assert again.done and again.tries == 1
+
+
+def test_behind_a_repetition_its_slot_runs_out_first():
+    """peers.md: "Requests overlap after one late answer": here to the first try; the repetition's is still to come."""
+    master, script = stopped()
+    master.request(8, lib.DPM_SRD_HIGH, b"", 60, 62)
+    script.next()
+    script.answer(DIAG)
+    first = master.request(8, lib.DPM_SRD_HIGH, b"\1")
+    script.next()
+    script.next()
+    repetition = script.last.end
+    script.answer("E5")
+    assert first.done and first.tries == 2
+    script.next(tokens=True)
+    assert script.last.start >= repetition + script.bits(200)
 
 
 def test_a_doubled_answer_does_not_meet_the_next_exchange():

@@ -388,6 +388,25 @@ def test_operating_twice_changes_nothing(brief: Station) -> None:
     until(lambda: master.mode == Mode.CLEAR)
 
 
+def test_operating_again_and_again_does_not_feed(brief: Station) -> None:
+    master, events = master_of(brief), master_of(brief).events()
+    brief.outputs = b"run!"
+    expired = threading.Event()
+
+    def operate() -> None:
+        end = outlasts(master)
+        while time.monotonic() < end and not expired.is_set():
+            with suppress(DPTimeout):  # it ran out in the middle
+                master.operate()
+            if any(event.kind == EventKind.WATCHDOG for event in iter(lambda: events.take(0), None)):
+                expired.set()
+
+    other = threading.Thread(target=operate)  # the thread of the commit does nothing any more
+    other.start()
+    other.join()
+    assert expired.is_set() and brief.outputs == SAFE
+
+
 def test_no_output_watchdog_is_logged(wire: Segment, card: Echo, caplog: pytest.LogCaptureFixture) -> None:
     with Master(wire.port(), output_watchdog=None) as master:
         master.add(Station(5, IDENT, CONFIGURATION))

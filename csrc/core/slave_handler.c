@@ -156,6 +156,7 @@ void dpm_slave_new_prm(dpm_master *master, dpm_slave *slave, int64_t now)
     dpm_master_drop(master, slave, now);
     slave->pause = 0;
     slave->refusals = 0;
+    dpm_outputs_make_safe(slave->outputs, master->latched); /* asked for, and `hold` is for losses */
     enter(master, slave, now, DPM_ST_PRM);
 }
 
