@@ -770,6 +770,8 @@ def test_a_port_that_vanishes_and_comes_back():
 def test_set_up_refuses_what_cannot_work():
     assert Master(address=126).result == lib.DPM_E_ADDRESS
     assert Master(slaves=127).result == lib.DPM_E_ARGUMENT
+    for bad in ({"role": 3}, {"allowance": -1}, {"granularity": -1}, {"delivery": -1}):
+        assert Master(**bad).result == lib.DPM_E_ARGUMENT, bad
     broken = default_parameters()
     broken.tsl = 60
     assert Master(parameters=broken).result == lib.DPM_E_PARAMETER
@@ -778,6 +780,7 @@ def test_set_up_refuses_what_cannot_work():
     assert master.add(126, 1, b"\x21") == lib.DPM_E_ADDRESS
     assert master.add(8, 1, b"\xC1\x21") == lib.DPM_E_CONFIGURATION
     assert master.add(8, 1, b"\x21", watchdog=(3, 0)) == lib.DPM_E_ARGUMENT
+    assert master.add(8, 1, b"\x21", min_tsdr=10) == lib.DPM_E_ARGUMENT
     assert master.add(8, 1, b"\x21") == 0
     assert master.add(8, 2, b"\x21") == lib.DPM_E_DUPLICATE
     assert master.add(9, 1, b"\x21") == 1

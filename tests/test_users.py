@@ -63,6 +63,15 @@ class Loaded:
         return int(self.master.status.cycle - first)
 
 
+def test_a_request_is_queued_once():
+    """Twice in the queue, it would be behind itself, and the queue without end."""
+    master = Master(500_000, address=2)
+    master.mode(lib.DPM_MODE_STOP)
+    for _ in range(2):
+        request = master.request(8, lib.DPM_FDL_STATUS)
+        assert lib.dpm_master_request(master.master, request) == lib.DPM_E_BUSY
+
+
 @pytest.mark.parametrize("address", [10, ABSENT], ids=["answered", "absent"])
 def test_many_requests_by_hand_do_not_starve_the_cycle(address):
     """One for each cycle, however many wait: no cycle is longer by more than one of them."""

@@ -620,8 +620,9 @@ int dpm_master_request(dpm_master *master, dpm_raw *raw)
     dpm_raw **last = &master->raw;
     if (master->mode == DPM_MODE_OFFLINE)
         return DPM_E_MODE;
-    while (*last)
-        last = &(*last)->next;
+    for (; *last; last = &(*last)->next)
+        if (*last == raw)
+            return DPM_E_BUSY;
     raw->done = false;
     raw->next = NULL;
     *last = raw;
@@ -768,7 +769,7 @@ static int check_set(const dpm_master *m, const dpm_slave_set *set, uint16_t *in
         return DPM_E_ADDRESS;
     if (set->configuration_length < 1 || set->configuration_length > DPM_IO_MAX || set->user_parameters_length > 237)
         return DPM_E_LENGTH;
-    if ((set->wd_fact_1 == 0) != (set->wd_fact_2 == 0))
+    if ((set->wd_fact_1 == 0) != (set->wd_fact_2 == 0) || (set->min_tsdr > 0 && set->min_tsdr < 11))
         return DPM_E_ARGUMENT;
     return dpm_configuration_lengths(set->configuration, set->configuration_length, inputs, outputs) < 0
                ? DPM_E_CONFIGURATION

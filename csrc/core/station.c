@@ -726,6 +726,9 @@ int dpm_station_init(void *block, size_t size, const dpm_station_config *config,
         return DPM_E_BLOCK;
     if (config->address > DPM_ADDRESS_MAX)
         return DPM_E_ADDRESS;
+    if (config->role > DPM_ROLE_PASSIVE || config->traits.allowance < 0 || config->traits.granularity < 0 ||
+        config->traits.delivery < 0)
+        return DPM_E_ARGUMENT;
     if (dpm_parameters_check(p, config->address, &refusal) < 0)
         return DPM_E_PARAMETER;
     if (config->role == DPM_ROLE_RING && dpm_ring_tsl(p, config->traits.allowance + config->traits.delivery) > p->tsl)

@@ -203,7 +203,7 @@ DPM_API int dpm_master_remove(dpm_master *master, int index);
 DPM_API int dpm_master_set_mode(dpm_master *master, int mode, int64_t now);
 /* Queue a request: each has its turn behind those that were there before, one for each cycle or turn of the token. It is done
  * at once, with DPM_CONF_DS, when the station leaves the bus or the port is gone. Slave_Diag of a slave in Data_Exchange serves
- * the handler as well as the caller. DPM_E_MODE in Offline. */
+ * the handler as well as the caller. DPM_E_MODE in Offline, DPM_E_BUSY: it is queued already. */
 DPM_API int dpm_master_request(dpm_master *master, dpm_raw *raw);
 DPM_API void dpm_master_cancel(dpm_master *master, dpm_raw *raw);
 /* DPM_E_BUSY: one is ordered already. DPM_E_MODE: no slave is exchanged with, or clear = 0 in Clear. DPM_E_ARGUMENT. */

@@ -133,7 +133,7 @@ typedef struct dpm_station_config {
 } dpm_station_config;
 
 DPM_API size_t dpm_station_size(void);
-/* DPM_E_BLOCK, DPM_E_PARAMETER, DPM_E_ADDRESS, DPM_E_SLOT. The block is the caller's and must outlive the station. */
+/* DPM_E_BLOCK, DPM_E_ARGUMENT, DPM_E_PARAMETER, DPM_E_ADDRESS, DPM_E_SLOT. The block is the caller's and must outlive the station. */
 DPM_API int dpm_station_init(void *block, size_t size, const dpm_station_config *config, dpm_station **station);
 DPM_API dpm_machine *dpm_station_machine(dpm_station *station);
 /* Up to 4 users, asked in the order they were added: the first has priority. DPM_E_FULL. */
