@@ -132,13 +132,13 @@ def _counters(port: Any) -> Mapping[str, int]:
     return {name: getattr(port.driver, name) for name, _ in ffi.typeof("dpm_driver_counters").fields}
 
 
-def _shut(process: _core.Process, handle: Any, events: list[Events], kept: dict[int, Any]) -> None:
+def _shut(process: _core.Process, opened: Any, events: list[Events], kept: dict[int, Any]) -> None:
     """The end of a bus, by close() or by the collector. "After fork ... no finaliser touches the bus".
 
     `kept` is the memory that the thread uses: an argument outlives the thread, in whatever order a cycle is collected.
     """
-    if process.here:
-        lib.dpm_bus_close(handle)
+    if process.here and opened[0]:
+        lib.dpm_bus_close(opened[0])
         for each in events:
             each.end()
 
@@ -164,12 +164,14 @@ class Bus:
         self._events: list[Events] = []
         self._kept: dict[int, Any] = {}
         self._starting = threading.RLock()
-        self._handle = self._open(port, rate, echo, profile, allowance, direction_code(direction))
-        self._finish = weakref.finalize(self, _shut, self.process, self._handle, self._events, self._kept)
+        opened = ffi.new("dpm_bus **")  # has its finaliser first: a Ctrl-C while the port is opened is raised behind that call
+        self._finish = weakref.finalize(self, _shut, self.process, opened, self._events, self._kept)
         self._finish.atexit = False  # a Master that still lives says its stop words first
+        self._open(opened, port, rate, echo, profile, allowance, direction_code(direction))
+        self._handle = opened[0]
 
-    def _open(self, port: str, rate: tuple[int, int], echo: bool | None, profile: str | None, allowance: float | None,
-              direction: int) -> Any:
+    def _open(self, opened: Any, port: str, rate: tuple[int, int], echo: bool | None, profile: str | None,
+              allowance: float | None, direction: int) -> None:
         path = ffi.new("char[]", os.fsencode(self.path))
         config = ffi.new("dpm_port_config *")
         config.path = path
@@ -182,12 +184,10 @@ class Bus:
         config.direction = direction
         config.allowance = -1 if allowance is None else round(allowance * NS)
         memory = self._keep(lib.dpm_bus_size())
-        handle = ffi.new("dpm_bus **")
-        code = lib.dpm_bus_open(memory, len(memory), config, handle)
+        code = lib.dpm_bus_open(memory, len(memory), config, opened)
         if code < 0:
             rated = {"baudrate": f"{rate[0] / rate[1]:.0f}"} if code == lib.DPM_E_RATE else {}
             raise port_error(self.path, code, **rated)
-        return handle[0]
 
     def _keep(self, size: int) -> Any:
         """A block that lives as long as the thread at least."""

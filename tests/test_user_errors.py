@@ -27,11 +27,13 @@ from dpmaster import (
     DPTimeout,
     EventKind,
     Master,
+    Mode,
     NotOperatingError,
     PortError,
     Station,
     StationState,
 )
+from dpmaster._core import lib
 from dpmaster.drives import YaskawaV7
 from dpmaster.emulator import Line, Segment
 from dpmaster.emulator.cards import SIP1
@@ -358,3 +360,39 @@ def test_two_objects_on_one_wire_that_are_both_masters(wire: Segment, drive: Yas
         second.add(Station(9, 1, CONFIGURATION))
         refused(DPTimeout, "station 9 (address 9)|master 1 has the bus|ring=True|for_ring|Tsl", second.operate, timeout=0.5)
     assert drive.state is StationState.DATA
+
+
+# ---- Ctrl-C
+
+
+def test_ctrl_c_while_a_port_is_opened_leaves_it_to_the_next(wire: Segment, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Python raises it when the call has returned, with the port open."""
+    class Interrupted:
+        def __getattr__(self, name: str) -> Any:
+            return getattr(lib, name)
+
+        def dpm_bus_open(self, *arguments: Any) -> int:
+            assert lib.dpm_bus_open(*arguments) == 0
+            raise KeyboardInterrupt
+
+    path = wire.port()
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr("dpmaster.bus.lib", Interrupted())
+        Master(path)
+    gc.collect()
+    Master(path).close()
+
+
+def test_ctrl_c_while_the_log_begins_is_what_is_raised(wire: Segment, monkeypatch: pytest.MonkeyPatch) -> None:
+    def start(thread: threading.Thread) -> None:
+        raise KeyboardInterrupt
+
+    with Master(wire.port()) as master:
+        with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+            patch.setattr(threading.Thread, "start", start)
+            master.operate()
+        master.clear()  # goes on after that
+        assert master.mode == Mode.CLEAR
+    with pytest.raises(KeyboardInterrupt), Master(wire.port()) as master, monkeypatch.context() as patch:
+        patch.setattr(threading.Thread, "start", start)
+        master.operate()
