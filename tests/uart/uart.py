@@ -69,16 +69,16 @@ def build_guest() -> None:
 class Guest:
     """The machine while it runs, and the facts its program prints."""
 
-    def __init__(self, pl011: str, uart16550: str, folder: Path) -> None:
+    def __init__(self, folder: Path, pl011: str = "null", uart16550: str = "null", options: tuple[str, ...] = ()) -> None:
         control = folder / "qmp"
         self.begin = time.monotonic()
         self.process = subprocess.Popen(
             [QEMU, "-M", "virt", "-cpu", "cortex-a53", "-m", "256", "-nodefaults", "-nographic", "-no-reboot",
              "-kernel", KERNEL, "-initrd", BUILD / "initramfs", "-append", "console=ttyS0 quiet panic=-1",
              "-qmp", f"unix:{control},server=on,wait=off",
-             "-chardev", f"serial,id=uartpl011,path={pl011}", "-serial", "chardev:uartpl011",
+             "-chardev", f"{pl011},id=uartpl011", "-serial", "chardev:uartpl011",
              "-chardev", "stdio,id=console,signal=off", "-device", "pci-serial,chardev=console",
-             "-chardev", f"serial,id=uart16550,path={uart16550}", "-device", "pci-serial,chardev=uart16550"],
+             "-chardev", f"{uart16550},id=uart16550", "-device", "pci-serial,chardev=uart16550", *options],
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace")
         self.control = control
         self.console: list[str] = []
@@ -133,7 +133,7 @@ def facts(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, list[s
         # QEMU's UARTs send at once. Segments that pace make a real line of it, on which no answer overtakes its request.
         wires = {uart: stack.enter_context(Segment(rate, ports=1, cards=1)) for uart, rate in UARTS.items()}
         cards = {uart: wire.attach(SIP1(address=5)) for uart, wire in wires.items()}
-        guest = Guest(wires["pl011"].port(), wires["16550"].port(), tmp_path_factory.mktemp("guest"))
+        guest = Guest(tmp_path_factory.mktemp("guest"), *(f"serial,path={wire.port()}" for wire in wires.values()))
         try:
             for name, words in guest.facts():
                 found[name] = words
@@ -151,6 +151,18 @@ def facts(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, list[s
             guest.close()
         assert "done" in found, "the guest did not reach its end; its console:\n" + "".join(guest.console[-40:])
     yield found
+
+
+@pytest.mark.usefixtures("facts")
+def test_the_guest_boots_in_two_seconds(tmp_path: Path) -> None:
+    """By its own clock, with 1 ns for each instruction, so that it is no matter how fast this machine is and how busy."""
+    guest = Guest(tmp_path, options=("-icount", "shift=0,sleep=off"))
+    try:
+        name, (clock,) = next(guest.facts())
+    finally:
+        guest.close()
+    assert name == "up"
+    assert int(clock) < 2e9
 
 
 @pytest.mark.parametrize("rate", RATES)
