@@ -128,6 +128,13 @@ def direction_code(direction: str | None) -> int:
     return int(getattr(lib, f"DPM_DIRECTION_{_DIRECTIONS[direction]}"))
 
 
+def allowance_ns(allowance: float | None) -> int:
+    """``dpm_port_config.allowance`` of s, None: the profile's; or ConfigurationError."""
+    if allowance is not None and allowance != 0:
+        _arguments.seconds("allowance", allowance, 1, ", 0, or None for the profile's own")
+    return -1 if allowance is None else round(allowance * NS)
+
+
 def _counters(port: Any) -> Mapping[str, int]:
     return {name: getattr(port.driver, name) for name, _ in ffi.typeof("dpm_driver_counters").fields}
 
@@ -152,8 +159,7 @@ class Bus:
             raise ConfigurationError(f"profile {profile!r}: 'uart', 'usb', 'pty', or None to go by the path")
         if echo not in (None, False, True):
             raise ConfigurationError(f"echo {echo!r}: True, False, or None to find it out")
-        if allowance is not None and allowance != 0:
-            _arguments.seconds("allowance", allowance, 1, ", 0, or None for the profile's own")
+        late = allowance_ns(allowance)
         self.scheduling = Scheduling()
         self._realtime = wished(realtime)
         self.path = _arguments.path(port)
@@ -167,7 +173,7 @@ class Bus:
         opened = ffi.new("dpm_bus **")  # has its finaliser first: a Ctrl-C while the port is opened is raised behind that call
         self._finish = weakref.finalize(self, _shut, self.process, opened, self._events, self._kept)
         self._finish.atexit = False  # a Master that still lives says its stop words first
-        self._open(opened, port, rate, echo, profile, allowance, direction_code(direction))
+        self._open(opened, port, rate, echo, profile, late, direction_code(direction))
         self._handle = opened[0]
 
     def _open(self, opened: Any, port: str, rate: tuple[int, int], echo: bool | None, profile: str | None,
@@ -182,7 +188,7 @@ class Bus:
         paced: bool | None = getattr(port, "paced", None)
         config.pace = {None: lib.DPM_PACE_AUTO, False: lib.DPM_PACE_NONE, True: lib.DPM_PACE_BAUD}[paced]
         config.direction = direction
-        config.allowance = -1 if allowance is None else round(allowance * NS)
+        config.allowance = allowance
         memory = self._keep(lib.dpm_bus_size())
         code = lib.dpm_bus_open(memory, len(memory), config, opened)
         if code < 0:

@@ -255,6 +255,8 @@ def test_a_line_names_the_tsl_of_its_master(wire: Segment) -> None:
     """Design page: "A slave on Linux answers not before min Tsdr and not after max Tsdr + its port's allowance"; + 15 Tbit."""
     with Line(wire.port(), SIP1(5), baudrate=RATE) as line:
         assert line.tsl == BusParameters.default(RATE).ring_tsl(profile_allowance("pty"))
+    with Line(wire.port(), SIP1(5), baudrate=RATE, allowance=0.001) as line:
+        assert line.tsl == 100 + 500 + 15
 
 
 # ---- calibrate

@@ -12,6 +12,7 @@ from typing import Any
 
 from dpmaster.cli import _console as console
 from dpmaster.cli import _links as links
+from dpmaster.cli._master import milliseconds
 from dpmaster.emulator import Card, Habits, Host, Line, Segment
 from dpmaster.emulator.cards import SIP1, SIP3, GenericSlave
 from dpmaster.errors import ConfigurationError
@@ -40,6 +41,8 @@ def _add(cards: argparse._SubParsersAction[argparse.ArgumentParser], name: str, 
                        help="a pty of its own (the path is the first line printed) with a symbolic link to it at PATH")
     where.add_argument("--on", "--port", metavar="PATH", help="join the wire at this serial port or segment's port")
     parser.add_argument("--direction", choices=["rs485", "rs485-inverted"], help="with --on: the driver switches the direction")
+    parser.add_argument("--allowance", type=milliseconds, metavar="MS",
+                        help="with --on: how late this host hears, as dpmaster calibrate says (default: by the kind of port)")
     parser.add_argument("--baudrate", type=int, metavar="B",
                         help=f"bit/s: paces the card's own pty, which without it is unpaced; with --on {RATE} by default")
     habits = "; ".join(f"{name} {'|'.join(words)}" for name, words in Habits.WORDS.items())
@@ -195,7 +198,7 @@ def _stay(host: Host, card: Card) -> None:
 
 
 def _join(card: Card, args: argparse.Namespace) -> None:
-    with Line(args.on, card, baudrate=args.baudrate or RATE, direction=args.direction) as line:
+    with Line(args.on, card, baudrate=args.baudrate or RATE, direction=args.direction, allowance=args.allowance) as line:
         print(args.on, flush=True)
         if line.tsl <= TSL_MAX:
             print(f"the master needs Tsl {line.tsl} Tbit or more: this card answers as late as its operating system wakes",

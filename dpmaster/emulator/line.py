@@ -9,7 +9,7 @@ from typing import Any
 
 from dpmaster import _arguments
 from dpmaster._core import block, check, ffi, lib
-from dpmaster.bus import direction_code, port_error
+from dpmaster.bus import allowance_ns, direction_code, port_error
 from dpmaster.emulator.card import Card
 from dpmaster.emulator.host import Host, bus_parameters, describe
 from dpmaster.errors import ConfigurationError, PortError
@@ -20,14 +20,14 @@ __all__ = ["Line"]
 
 class Line(Host):
     """Opens `port` at `baudrate` (bit/s) and answers there for `cards`, all of which must be known from the start: the
-    slaves' machine belongs to the bus thread from then on. `realtime` and `direction` are as `Master`'s; what came of the
-    first is in `scheduling`. Raises PortError when the port cannot be opened.
+    slaves' machine belongs to the bus thread from then on. `realtime`, `direction` and `allowance` are as `Master`'s; what came
+    of the first is in `scheduling`. Raises PortError when the port cannot be opened.
     """
 
     _room = "dpm_bus"
 
     def __init__(self, port: str, *cards: Card, baudrate: int, realtime: Realtime | bool | None = None,
-                 direction: str | None = None) -> None:
+                 direction: str | None = None, allowance: float | None = None) -> None:
         super().__init__()
         wished(realtime)
         if not cards:
@@ -35,7 +35,7 @@ class Line(Host):
         self._path = _arguments.path(port)
         self._parameters = parameters = bus_parameters(baudrate)
         self._rate = baudrate
-        self._open(parameters, getattr(port, "paced", None), direction_code(direction))
+        self._open(parameters, getattr(port, "paced", None), direction_code(direction), allowance_ns(allowance))
         try:
             self._make_slaves(parameters, len(cards))
             for card in cards:
@@ -51,9 +51,9 @@ class Line(Host):
             self._shut()
             raise
 
-    def _open(self, parameters: Any, paced: bool | None, direction: int) -> None:
+    def _open(self, parameters: Any, paced: bool | None, direction: int, allowance: int) -> None:
         path = ffi.new("char[]", os.fsencode(self._path))
-        config = ffi.new("dpm_port_config *", {"path": path, "allowance": -1, "direction": direction})
+        config = ffi.new("dpm_port_config *", {"path": path, "allowance": allowance, "direction": direction})
         config.rate_num, config.rate_den = parameters.rate_num, parameters.rate_den
         config.pace = {None: lib.DPM_PACE_AUTO, False: lib.DPM_PACE_NONE, True: lib.DPM_PACE_BAUD}[paced]
         size = lib.dpm_bus_size()
