@@ -20,7 +20,9 @@ from typing import Any
 import pytest
 
 from dpmaster import BusParameters, ConfigurationError, DPError, Master, PortError, cable, calibration, cli, doctor, perf
+from dpmaster._core import lib
 from dpmaster.calibration import Calibration, calibrate
+from dpmaster.cli import calibrate as command
 from dpmaster.doctor import Level, examine
 from dpmaster.emulator import Line, Segment
 from dpmaster.emulator.cards import SIP1
@@ -288,6 +290,32 @@ def test_a_slave_s_answers_are_measured_and_the_result_runs_a_master(wire: Segme
     with Master(wire.port(), RATE, allowance=min(1.0, found.allowance)) as master:
         master.stop()
         assert master.statistics.port.allowance == pytest.approx(found.allowance)
+
+
+class Paced:
+    """The library on a UART that makes `rate` bit/s, whatever it is asked for."""
+
+    def __init__(self, rate: int) -> None:
+        self.rate = rate
+
+    def dpm_port_measure(self, port: object, octets: bytes, n: int, limit: int, took: Any) -> int:
+        assert n == len(octets) and n * 11 / RATE >= 0.05, "shorter than what the host may be late matters"
+        took[0] = n * 11 * 10**9 // self.rate
+        return 0
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(lib, name)
+
+
+@pytest.mark.parametrize(("made", "words"), [
+    (501_000, "501 kbit/s measured, +0.20 %\n"), (3_000_000, "3000 kbit/s measured, +500.00 %: no line is paced by it")])
+def test_the_rate_that_a_uart_makes_is_measured(
+        wire: Segment, monkeypatch: pytest.MonkeyPatch, made: int, words: str) -> None:
+    """Protocol page A: a character has 11 bits."""
+    monkeypatch.setattr(calibration, "lib", Paced(made))
+    rate = calibration._rate(wire.port(), RATE, None)
+    assert rate == pytest.approx(made)
+    assert words in command.text(Calibration("p", RATE, "echo", 1, 0.0, 0.0, 0.0, 0.001, rate, "m"))
 
 
 def test_what_no_ring_can_wait_for_is_said() -> None:
