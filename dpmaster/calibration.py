@@ -22,9 +22,8 @@ from dpmaster.errors import ConfigurationError, DPError, StationError
 from dpmaster.listener import Listener
 from dpmaster.live import Live
 from dpmaster.master import Master, Service
-from dpmaster.parameters import BAUDRATES, BusParameters
+from dpmaster.parameters import BAUDRATES, TSL_MAX, BusParameters
 from dpmaster.telegram import Telegram
-from dpmaster.timing import TSL_MAX
 
 __all__ = ["Calibration", "calibrate"]
 

@@ -29,11 +29,11 @@ from dpmaster.diagnosis import StationState, why
 from dpmaster.errors import ConfigurationError, DPError, DPTimeout, NotOperatingError, StationError
 from dpmaster.events import Event, EventKind, Events
 from dpmaster.live import HIGHEST, LiveEntry, LiveList, RingView
-from dpmaster.parameters import BusParameters
+from dpmaster.parameters import TSL_MAX, BusParameters
 from dpmaster.realtime import Realtime
 from dpmaster.services import Answer, Service, Services
 from dpmaster.station import Station
-from dpmaster.timing import TSL_MAX, WATCHDOG_MAX, Slave, cycle, default_watchdog, tsl_needed
+from dpmaster.timing import WATCHDOG_MAX, Slave, cycle, default_watchdog, tsl_needed
 
 __all__ = ["Answer", "Master", "MasterStatistics", "MasterStatus", "Mode", "Service"]
 

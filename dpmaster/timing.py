@@ -18,13 +18,13 @@ from dpmaster._arguments import number, whole
 from dpmaster._core import NS, check, ffi, lib
 from dpmaster.cable import REPEATERS, STATIONS, limits
 from dpmaster.errors import ConfigurationError
-from dpmaster.parameters import BAUDRATES, BusParameters
+from dpmaster.parameters import BAUDRATES, TSL_MAX, BusParameters
 from dpmaster.station import Station, Watchdog, watchdog_factors
 
 __all__ = ["Cycle", "Finding", "Part", "Slave", "Timing", "cycle", "default_watchdog", "plan"]
 
 TSL_MARGIN = 15  # Tbit: "Tsl >= max Tsdr + 15"
-TSL_MAX, MAX_TSDR_MAX, TTR_MAX = 16_383, 1_023, 16_777_960  # Tbit
+MAX_TSDR_MAX, TTR_MAX = 1_023, 16_777_960  # Tbit
 WATCHDOG_CYCLES = 10  # "ten predicted cycles with retries, at least 100 ms, at most 1 s"
 WATCHDOG_MIN, WATCHDOG_MAX = 0.1, 1.0
 TOOL_WATCHDOG = 6_250  # Tbit for each address up to HSA: below it engineering tools do not go

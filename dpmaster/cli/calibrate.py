@@ -10,7 +10,7 @@ from dataclasses import asdict
 
 from dpmaster.calibration import Calibration, calibrate
 from dpmaster.errors import DPError
-from dpmaster.parameters import BAUDRATES, BusParameters
+from dpmaster.parameters import BAUDRATES, TSL_MAX, BusParameters
 
 NAME = "calibrate"
 HELP = "measure how late this host hears behind a port, by its echo or a slave's answers"
@@ -43,7 +43,7 @@ def text(found: Calibration) -> str:
     lines += ["", "  alone on the bus    any rate that the port makes", "  in a ring           with Tsl in every master:"]
     for rate in BAUDRATES:
         tsl = found.tsl(rate)
-        lines.append(f"  {rate / 1000:>14g} kbit/s  " + (f"{tsl} Tbit" if tsl else "no: Tsl ends at 16383 Tbit"))
+        lines.append(f"  {rate / 1000:>14g} kbit/s  " + (f"{tsl} Tbit" if tsl else f"no: Tsl ends at {TSL_MAX} Tbit"))
     return "\n".join(lines)
 
 

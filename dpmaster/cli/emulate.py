@@ -16,7 +16,7 @@ from dpmaster.cli._master import milliseconds
 from dpmaster.emulator import Card, Habits, Host, Line, Segment
 from dpmaster.emulator.cards import SIP1, SIP3, GenericSlave
 from dpmaster.errors import ConfigurationError
-from dpmaster.timing import TSL_MAX
+from dpmaster.parameters import TSL_MAX
 
 NAME = "emulate"
 HELP = "an emulated slave - an option card with its drive and motor, or one described by data - until SIGINT or SIGTERM"
