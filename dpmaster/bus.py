@@ -177,7 +177,7 @@ class Bus:
         self._handle = opened[0]
 
     def _open(self, opened: Any, port: str, rate: tuple[int, int], echo: bool | None, profile: str | None,
-              allowance: float | None, direction: int) -> None:
+              allowance: int, direction: int) -> None:
         path = ffi.new("char[]", os.fsencode(self.path))
         config = ffi.new("dpm_port_config *")
         config.path = path
