@@ -30,6 +30,7 @@ from dpmaster import (
     Mode,
     NotOperatingError,
     PortError,
+    Realtime,
     Station,
     StationState,
 )
@@ -381,6 +382,26 @@ def test_ctrl_c_while_a_port_is_opened_leaves_it_to_the_next(wire: Segment, monk
         Master(path)
     gc.collect()
     Master(path).close()
+
+
+@pytest.mark.parametrize("step", ["open", "start", "realtime"])
+def test_ctrl_c_while_a_wire_is_opened_leaves_nothing(step: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Interrupted:
+        def __getattr__(self, name: str) -> Any:
+            function = getattr(lib, name)
+            if name != f"dpm_segment_{step}":
+                return function
+
+            def interrupted(*arguments: Any) -> int:
+                assert function(*arguments) == 0
+                raise KeyboardInterrupt
+
+            return interrupted
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        for room in "segment", "host":
+            patch.setattr(f"dpmaster.emulator.{room}.lib", Interrupted())
+        Segment(realtime=Realtime(lock=False))
 
 
 def test_ctrl_c_while_the_log_begins_is_what_is_raised(wire: Segment, monkeypatch: pytest.MonkeyPatch) -> None:

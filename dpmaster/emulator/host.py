@@ -209,7 +209,11 @@ class Host(ABC):
         self._failures: list[BaseException] = []
         self._closed = False
         self._thread: threading.Thread | None = None
-        self._object: Any = None
+        self._opened: Any = (None,)  # where the library's open call puts its object
+
+    @property
+    def _object(self) -> Any:
+        return self._opened[0]
 
     # --- what a sub-class does
 
@@ -219,7 +223,7 @@ class Host(ABC):
 
     @abstractmethod
     def _shut(self) -> None:
-        """Close the library's object: idempotent, bounded, wakes its waiters."""
+        """Close the library's object, which is there: idempotent, bounded, wakes its waiters."""
 
     def _call(self, name: str, *arguments: Any) -> int:
         code: int = getattr(lib, f"{self._room}_{name}")(self._object, *arguments)
@@ -390,16 +394,21 @@ class Host(ABC):
         """End the applications and the bus side; idempotent. Raises DPError when a card failed while it was open."""
         if self._closed or not self._process.here:
             return
-        self._closed = True
-        atexit.unregister(self.close)
-        self._shut()
-        if self._thread is not None and self._thread is not threading.current_thread():
-            self._thread.join(JOIN)
-            if self._thread.is_alive():
-                log.error("a card's step does not return; its thread is left behind")
+        self._end()
         for slot in self._slots:
             slot.card.detached()
         self._raise_failure()
+
+    def _end(self) -> None:
+        """As far as it has come: Ctrl-C may end the opening behind any call."""
+        self._closed = True
+        atexit.unregister(self.close)
+        if self._object:
+            self._shut()
+        if self._thread is not None and self._thread.ident and self._thread is not threading.current_thread():
+            self._thread.join(JOIN)
+            if self._thread.is_alive():
+                log.error("a card's step does not return; its thread is left behind")
 
     def __enter__(self) -> Self:
         self._guard()

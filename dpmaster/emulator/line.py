@@ -35,8 +35,8 @@ class Line(Host):
         self._path = _arguments.path(port)
         self._parameters = parameters = bus_parameters(baudrate)
         self._rate = baudrate
-        self._open(parameters, getattr(port, "paced", None), direction_code(direction), allowance_ns(allowance))
         try:
+            self._open(parameters, getattr(port, "paced", None), direction_code(direction), allowance_ns(allowance))
             self._make_slaves(parameters, len(cards))
             for card in cards:
                 self._attach(card)
@@ -47,8 +47,7 @@ class Line(Host):
                                        f"the line on {self._path}")
             self._begin()
         except BaseException:
-            self._closed = True
-            self._shut()
+            self._end()
             raise
 
     def _open(self, parameters: Any, paced: bool | None, direction: int, allowance: int) -> None:
@@ -58,11 +57,10 @@ class Line(Host):
         config.pace = {None: lib.DPM_PACE_AUTO, False: lib.DPM_PACE_NONE, True: lib.DPM_PACE_BAUD}[paced]
         size = lib.dpm_bus_size()
         self._block = block(size)
-        out = ffi.new("dpm_bus **")
-        code = lib.dpm_bus_open(self._block, size, config, out)
+        self._opened = ffi.new("dpm_bus **")
+        code = lib.dpm_bus_open(self._block, size, config, self._opened)
         if code < 0:
             raise port_error(self._path, code)
-        self._object = out[0]
 
     def _make_slaves(self, parameters: Any, count: int) -> None:
         traits = ffi.new("dpm_port_traits *")

@@ -85,16 +85,14 @@ class Segment(Host):
         config.paced, config.echo, config.ports, config.slaves = baudrate is not None, echo, ports, cards
         size = lib.dpm_segment_size(config)
         self._block = block(size)
-        out = ffi.new("dpm_segment **")
-        check(lib.dpm_segment_open(self._block, size, config, out), "open a segment", ports=ports)
-        self._object = out[0]
-        self._last = self._info()
+        self._opened = ffi.new("dpm_segment **")
         try:
+            check(lib.dpm_segment_open(self._block, size, config, self._opened), "open a segment", ports=ports)
             check(lib.dpm_segment_start(self._object), "start a segment")
             self.scheduling = schedule(realtime, False, partial(self._call, "realtime"), [self._block], "the segment's hub")
             self._begin()
         except BaseException:
-            self._shut()
+            self._end()
             raise
 
     def _add(self, config: Any, outputs: Any, inputs: Any) -> int:
