@@ -9,7 +9,8 @@ from __future__ import annotations
 from named_tests import check_named
 
 NEVER = {
-    "1 outputs are one commit's or safe": "test_dp_master.py::test_outputs_of_one_commit_and_inputs_of_one_telegram "
+    "1 outputs are one commit's or safe": "test_outputs.py::test_outputs_are_zeros_or_of_a_commit_that_lives "
+                                          "test_dp_master.py::test_outputs_of_one_commit_and_inputs_of_one_telegram "
                                           "test_image.py::test_two_threads_never_see_half_a_frame_nor_a_stale_commit "
                                           "test_master_pty.py::test_every_commit_is_sent_whole_and_in_order "
                                           "test_dp_master.py::test_a_program_that_hangs_while_nothing_takes_its_outputs",
