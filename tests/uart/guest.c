@@ -3,7 +3,7 @@
  * The only program of the guest (see uart.py): it tries the library on UART drivers of a real kernel and prints what it
  * found on the console, a line "@subject words" for each fact. What is right is for the host to judge.
  *
- * On each port: every rate, parity, exclusive use, RS-485 mode, counters, a break, the end of a transmission, and a
+ * On each port: every rate, parity, exclusive use, RS-485 mode, counters, octets, a break, the end of a transmission, and a
  * master that brings the SI-P1 on the host into Data_Exchange and lets its motor run.
  */
 #include <errno.h>
@@ -26,7 +26,7 @@
 #define MS INT64_C(1000000)
 #define SECOND (1000 * MS)
 
-enum { SIP1 = 5, EXCHANGES = 300, RUN = 1, HZ30 = 3000 };
+enum { OCTETS = 264, SIP1 = 5, EXCHANGES = 300, RUN = 1, HZ30 = 3000 };
 
 static const char *subject; /* the port under test, for the lines printed */
 
@@ -115,11 +115,12 @@ static void try_flags(const char *path, uint32_t rate)
     }
 }
 
-/* A machine that keeps what went wrong on the line, and when its own transmission ended. */
+/* A machine that keeps what it hears, what went wrong on the line, and when its own transmission ended. */
 typedef struct witness {
     dpm_machine machine;
     unsigned errors;
     size_t octets;
+    uint8_t heard[512];
     int64_t start;
     int64_t end_earliest;
     int64_t end_latest;
@@ -128,9 +129,10 @@ typedef struct witness {
 static void on_octets(dpm_machine *machine, const dpm_span *span)
 {
     witness *w = (witness *)machine;
-    w->octets += span->n;
-    for (size_t i = 0; span->errors && i < span->n; i++)
-        w->errors |= span->errors[i];
+    for (size_t i = 0; i < span->n; i++) {
+        w->heard[w->octets++ % sizeof w->heard] = span->octets[i];
+        w->errors |= span->errors ? span->errors[i] : 0u;
+    }
 }
 
 static void on_quiet(dpm_machine *machine, int64_t until)
@@ -148,6 +150,31 @@ static void on_sent(dpm_machine *machine, int64_t start, int64_t end_earliest, i
     w->end_latest = end_latest;
 }
 
+static void listen_for(dpm_port *port, witness *w, size_t n)
+{
+    int64_t end = dpm_now() + 5 * SECOND;
+    while (w->octets < n && dpm_now() < end) {
+        (void)dpm_port_wait(port, -1, end);
+        (void)dpm_port_read(port, &w->machine);
+    }
+}
+
+/* Each octet there is: a driver that marks errors doubles a good FF. */
+static void try_octets(const char *path, uint32_t rate)
+{
+    witness w = {.machine = {.octets = on_octets, .quiet = on_quiet, .sent = on_sent}};
+    dpm_port *port;
+    if (open_port(path, rate, DPM_DIRECTION_AUTO, &port))
+        return;
+    printf("@%s.wants-octets\n", subject);
+    listen_for(port, &w, OCTETS);
+    printf("@%s.octets %u ", subject, w.errors);
+    for (size_t i = 0; i < w.octets && i < sizeof w.heard; i++)
+        printf("%02x", w.heard[i]);
+    printf("\n");
+    dpm_port_close(port);
+}
+
 static void try_break(const char *path, uint32_t rate)
 {
     witness w = {.machine = {.octets = on_octets, .quiet = on_quiet, .sent = on_sent}};
@@ -155,11 +182,7 @@ static void try_break(const char *path, uint32_t rate)
     if (open_port(path, rate, DPM_DIRECTION_AUTO, &port))
         return;
     printf("@%s.wants-break\n", subject);
-    int64_t end = dpm_now() + 5 * SECOND;
-    while (!w.octets && dpm_now() < end) {
-        (void)dpm_port_wait(port, -1, end);
-        (void)dpm_port_read(port, &w.machine);
-    }
+    listen_for(port, &w, 1);
     dpm_port_info info = info_of(port);
     printf("@%s.break %u %zu %llu %u %u\n", subject, w.errors, w.octets, (unsigned long long)info.line_errors,
            info.driver.breaks, info.driver.parity + info.driver.framing);
@@ -318,6 +341,7 @@ static void try_port(const char *name, const char *path, uint32_t rate, int dire
     try_rates(path);
     try_modes(path, rate);
     try_flags(path, rate);
+    try_octets(path, rate);
     try_break(path, rate);
     try_end(path, rate);
     try_master(path, rate, direction, count);

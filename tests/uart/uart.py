@@ -29,6 +29,7 @@ BUILD = ROOT / "build" / "uart"
 KERNEL = BUILD / "vmlinuz"
 COMPILER, QEMU = "aarch64-linux-gnu-gcc", "qemu-system-aarch64"
 EXCHANGES = {"pl011": 300, "16550": 60}  # as guest.c asks for
+OCTETS = bytes(range(256)) + bytes.fromhex("FF 00 41 FF FF 00 00 FF")  # what its try_octets waits for
 BOUND = 100.0  # s for all of it, on any machine
 pytestmark = pytest.mark.timeout(600)  # s; the first time the kernel is fetched
 UARTS = {"pl011": 500_000, "16550": 19_200}  # with the rate of the master's bus
@@ -131,15 +132,18 @@ def facts(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, list[s
     found: dict[str, list[str]] = {}
     with ExitStack() as stack:
         # QEMU's UARTs send at once. Segments that pace make a real line of it, on which no answer overtakes its request.
-        wires = {uart: stack.enter_context(Segment(rate, ports=1, cards=1)) for uart, rate in UARTS.items()}
+        wires = {uart: stack.enter_context(Segment(rate, ports=2, cards=1)) for uart, rate in UARTS.items()}
         cards = {uart: wire.attach(SIP1(address=5)) for uart, wire in wires.items()}
         guest = Guest(tmp_path_factory.mktemp("guest"), *(f"serial,path={wire.port()}" for wire in wires.values()))
+        talkers = {uart: wire.port() for uart, wire in wires.items()}
         try:
             for name, words in guest.facts():
                 found[name] = words
                 print(f"{time.monotonic() - guest.begin:6.2f} s  {name} {' '.join(words)}")
                 uart, _, what = name.partition(".")
-                if what == "wants-break":
+                if what == "wants-octets":
+                    Path(talkers[uart]).write_bytes(OCTETS)
+                elif what == "wants-break":
                     guest.send_break(f"uart{uart}")
                 elif what == "running":
                     deadline = time.monotonic() + 5
@@ -205,6 +209,12 @@ def test_what_the_drivers_offer_is_used(facts: dict[str, list[str]]) -> None:
     assert facts["pl011.driver"][:2] == facts["16550.driver"][:2] == ["1", "1"]
     assert facts["pl011.driver"][3] == "0"
     assert facts["16550.driver"][3] == "1"
+
+
+@pytest.mark.parametrize("uart", UARTS)
+def test_every_octet_passes_a_driver_that_marks_errors(facts: dict[str, list[str]], uart: str) -> None:
+    """Termios(3), PARMRK: a real FF comes as FF FF."""
+    assert facts[f"{uart}.octets"] == ["0", OCTETS.hex()]
 
 
 @pytest.mark.parametrize("uart", UARTS)
