@@ -10,15 +10,12 @@
  * or one commit, newer than whatever made the outputs safe last, Clear by order included; Offline nothing is sent, and
  * the station is off the bus; a passive one sends nothing ever; a slave's outputs are zeros unless it is in Data_Exchange.
  */
-#include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
 
 #include "dpmaster/error.h"
 #include "dpmaster/master.h"
 #include "dpmaster/slave.h"
-
-#define MUST(x) ((x) ? (void)0 : (fprintf(stderr, "%s:%d: %s\n", __FILE__, __LINE__, #x), abort()))
+#include "target.h"
 
 enum { MASTER = 2, FIRST = 8, KNOWN = 3, PRESENT = 2, IDENT = 0x0A35, GRANULARITY = 20000, ALLOWANCE = 50000 };
 #define WATCHDOG INT64_C(50000000)
@@ -382,8 +379,6 @@ static void step(bench *b)
     check_slaves(b);
 }
 
-int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
-
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 {
     static bench b;
@@ -400,18 +395,3 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
         free(b.blocks[--b.n_blocks]);
     return 0;
 }
-
-#ifdef REPLAY
-int main(int argc, char **argv)
-{
-    static uint8_t input[1024];
-    for (int i = 1; i < argc; i++) {
-        FILE *file = fopen(argv[i], "rb");
-        if (!file)
-            return fprintf(stderr, "%s: cannot be read\n", argv[i]), 1;
-        LLVMFuzzerTestOneInput(input, fread(input, 1, sizeof input, file));
-        fclose(file);
-    }
-    return 0;
-}
-#endif

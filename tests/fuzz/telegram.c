@@ -8,14 +8,11 @@
  * good telegram is encoded to the same octets and its sum, addresses and end are checked here once more; the receiver
  * takes every octet exactly once, cut or whole, and delivers nothing that held a line error.
  */
-#include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
 
 #include "dpmaster/error.h"
 #include "dpmaster/receiver.h"
-
-#define MUST(x) ((x) ? (void)0 : (fprintf(stderr, "%s:%d: %s\n", __FILE__, __LINE__, #x), abort()))
+#include "target.h"
 
 enum { CHARACTER = 1000, PATIENCE = 3000, GAP = 400, STEERING = 2 };
 
@@ -161,8 +158,6 @@ static void receive(const uint8_t *wire, const uint8_t *errors, size_t n, size_t
     MUST(cut.good + thrown_away(&cut.receiver) == n && dpm_receiver_deadline(&cut.receiver) == DPM_NEVER);
 }
 
-int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
-
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 {
     if (size < STEERING || size > 4096)
@@ -182,19 +177,3 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     free(errors);
     return 0;
 }
-
-#ifdef REPLAY
-int main(int argc, char **argv)
-{
-    static uint8_t input[4096];
-
-    for (int i = 1; i < argc; i++) {
-        FILE *file = fopen(argv[i], "rb");
-        if (!file)
-            return fprintf(stderr, "%s: cannot be read\n", argv[i]), 1;
-        LLVMFuzzerTestOneInput(input, fread(input, 1, sizeof input, file));
-        fclose(file);
-    }
-    return 0;
-}
-#endif
