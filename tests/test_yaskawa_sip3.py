@@ -387,6 +387,19 @@ def test_a_program_may_bring_a_table_with_double_words(configuration: str) -> No
     assert drive["q1-01"] == drive.card.registers["q1-01"] == 0x123456
 
 
+def test_a_double_word_is_one_message_where_the_channel_has_room() -> None:
+    """Table 13: "number of data items", 2 to 8 bytes. Word by word 65535 to 65537 would pass through 131071, beyond the limit,
+    and a counter that moves on between its halves would be read wrong."""
+    table = YASKAWA_1000.extended([Parameter("q1-01", 0x0580, 0, 70_000, 65_535, "a counter", double=True)])
+    drive = bench("Extended Data 1", card=SIP3(5, table=table), table=table)
+    drive.trace.clear()
+    assert drive["q1-01"] == 65_535
+    drive["q1-01"] = 65_537
+    assert drive.card.registers["q1-01"] == 65_537
+    words = [text for text in said(drive, 16, 24) if text[2:6] == "0580"]
+    assert words == ["0305800400000000", "1005800400010001"]
+
+
 def test_registers_several_at_a_time() -> None:
     for configuration in CHANNELS:
         drive = bench(configuration)

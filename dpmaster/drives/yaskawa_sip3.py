@@ -198,8 +198,8 @@ class YaskawaSIP3(Drive[SIP3Status]):
     and 2 and PPO 1, 2 and 5 carry a parameter channel.
 
     Frequencies are Hz, 100 % is E1-04. Units are read from the drive (E1-04, o1-03, ...). Where there is no channel, Basic
-    data takes `frequency_unit`, by default the "0.01 Hz" of o1-03 = 0, and PPO 3 and 4, whose words are shares of E1-04, take
-    per cent, and Hz once `maximum_frequency` tells E1-04 (Hz).
+    data takes `frequency_unit`, by default the "0.01 Hz" of o1-03 = 0, and H5-12 = 0 for granted (with 1 it cannot reverse);
+    PPO 3 and 4, whose words are shares of E1-04, take per cent, and Hz once `maximum_frequency` tells E1-04 (Hz).
 
     `index` is the size of IND, "word" or "byte" (F6-33). `size` is the drive's in kW: from 11 kW on a count of current is 0.1
     A, by default 0.01 A. `table` has the drive's parameters, ``YASKAWA_1000.extended([...])`` has more. `address` is 1 to 125.
@@ -479,8 +479,8 @@ class YaskawaSIP3(Drive[SIP3Status]):
         if isinstance(self._need_channel("read"), PKWChannel):
             word = self._task(pkw.Task.REQUEST_ELEMENT, *profile.parse_name(name), timeout=timeout)
         else:
-            registers = parameter.registers if parameter else [self.table.register(name)]
-            word = int.from_bytes(b"".join(self.read_register(at, timeout=timeout).to_bytes(2, "big") for at in registers))
+            words = self.read_registers(name, len(parameter.registers) if parameter else 1, timeout=timeout)
+            word = int.from_bytes(b"".join(each.to_bytes(2, "big") for each in words))
         amount = self._amount(parameter, word) if parameter else word
         return word if amount is None else amount
 
@@ -535,11 +535,9 @@ class YaskawaSIP3(Drive[SIP3Status]):
         if isinstance(self._channel, PKWChannel):
             task = pkw.Task.CHANGE_ELEMENT_DOUBLE if parameter and parameter.double else pkw.Task.CHANGE_ELEMENT
             self._task(task, *profile.parse_name(name), word, timeout)
-        elif parameter and parameter.double:
-            for at, part in zip(parameter.registers, (word >> 16, word & 0xFFFF), strict=True):
-                self.write_register(at, part, timeout=timeout)
-        else:
-            self.write_register(self.table.register(name), word, timeout=timeout)
+        else:  # a double word in one message where the channel has room: half of one may be out of range
+            double = parameter is not None and parameter.double
+            self.write_register(name, [word >> 16, word & 0xFFFF] if double else word, timeout=timeout)
 
     # Parameter numbers
 
