@@ -91,6 +91,13 @@ def test_per_cent_are_of_the_highest_frequency() -> None:
     assert drive.frequency == 15.0
 
 
+def test_a_drive_without_a_command_to_store_says_so_before_it_writes() -> None:
+    drive = v7()
+    with pytest.raises(ConfigurationError, match="no command to store"):
+        Drive.write(drive, {"n019": 40}, store=True)
+    assert drive.card.registers["n019"] == 10
+
+
 @pytest.mark.parametrize(("arguments", "text"), [
     ({"hz": 20.0, "percent": 20.0}, "give one of them"), ({"percent": 100.5}, "percent 100.5: the limit is 100"),
     ({"percent": -1}, "percent -1.0 %: give a positive number"), ({"hz": "20"}, "frequency '20' Hz: give a number"),

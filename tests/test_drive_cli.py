@@ -75,7 +75,7 @@ def test_parameters_are_read_and_written_by_their_names(v7: Bench, capsys: Captu
 
 @pytest.mark.parametrize(("action", "code", "text"), [
     (["set", "n003=4"], 1, "error 21h"), (["set", "n019=70000"], 2, "70000 is no word"), (["get", "x1"], 2, "register 'x1'"),
-    (["run", "--frequency", "61"], 2, "the limit is 60.0 Hz"), (["set", "--store", "n019=40"], 2, "no command to store"),
+    (["run", "--frequency", "61"], 2, "the limit is 60.0 Hz"), (["set", "--store", "n003=4"], 1, "error 21h"),
 ])
 def test_what_goes_wrong_is_one_line_and_the_exit_code(v7: Bench, capsys: Capture, action: list[str], code: int,
                                                        text: str) -> None:

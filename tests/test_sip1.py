@@ -108,6 +108,15 @@ def test_tables_1_10_and_1_11_who_controls(n003: int, n004: int, running: bool, 
     assert bool(host.word(0) & REMOTE) is (n003 == 3 and n004 == 9)
 
 
+def test_table_1_11_a_reference_by_parameter_access() -> None:
+    """n004 = 6: "Serial Communications (Parameter Access)", in the unit of the fast words; run/stop stays the bus's."""
+    host = Host()
+    host.card.registers["n004"] = 6
+    assert host.access("100002020bb8") == "100002020000" + "0000" * 3
+    host.drive(0x0001, 12.0)
+    assert word(host.after(6.0), 8) == 3000 and host.card.motor.frequency == 30.0
+
+
 def test_factory_parameters_ignore_the_bus() -> None:
     host = Host(parameters="factory")
     assert [host.card.registers[n] for n in ("n003", "n004", "n035", "n152")] == [1, 2, 0, 0]
@@ -204,6 +213,8 @@ def test_extended_data_2_takes_one_word() -> None:
     ("03060102", "830000020002"),      # 02h: starting address greater than 600h
     ("101000020001", "900000020002"),
     ("03060004", "830000020002"),      # runs over 600h
+    ("03090002", "830000020002"),      # ENTER is for writing, alone
+    ("1009000400000000", "900000020002"),
     ("03010300", "830000020003"),      # 03h: nothing, odd, more than 4 words
     ("03010303", "830000020003"),
     ("0301030a", "830000020003"),
@@ -238,6 +249,31 @@ def test_write_fault_while_running_undervoltage_or_storing() -> None:
     host.card.storing = False
     assert host.access("100113020032") == done
     assert host.card.registers["n019"] == 50
+
+
+def test_enter_stores_what_the_bus_has_written_and_not_while_running() -> None:
+    """Table 3.15, 22h: "ENTER command was written during running"; its register 0900h is the drives' usual one."""
+    host = Host()
+    enter, refused, done = "100900020000", "900000020022" + "0000" * 3, "100900020000" + "0000" * 3
+    host.access("100113020032")
+    assert host.card.registers["n019"] == 50  # in force at once
+    host.outputs[:] = bytes(32)
+    host.card.reset(host.now)
+    host.after(0.2)
+    assert host.card.registers["n019"] == 100
+    host.access("100113020032")
+    host.drive(0x0001, 6.0)
+    assert host.access(enter) == refused
+    host.drive(0x0000)
+    host.after(2.0)
+    host.card.undervoltage = True
+    assert host.access(enter) == refused
+    host.card.undervoltage = False
+    assert host.access(enter) == done
+    host.card.reset(host.now)
+    assert host.card.registers["n019"] == 50
+    with pytest.raises(ConfigurationError, match="0600h"):
+        host.card.registers[0x0900]
 
 
 def test_a_toggle_with_function_00h_is_no_access() -> None:
@@ -316,6 +352,22 @@ def test_loss_of_the_exchange_is_bus_and_stops() -> None:
     host.drive(0x0001)
     host.after(1.0)
     assert host.card.running
+
+
+@pytest.mark.parametrize("lost", [True, False])
+def test_neither_clear_nor_a_loss_leaves_anything_commanded(lost: bool) -> None:
+    """The words besides the run command too: multi-function output (table 3.2), torque reference (table 3.13)."""
+    host, basic = Host(), Host(BASIC)
+    host.card.registers["n057"] = 18
+    host.outputs[14:16], basic.outputs[4:6] = b"\x00\x01", b"\x00\x46"
+    for each in (host, basic):
+        each.step()
+    assert host.card.outputs["MA"] and basic.card.torque_reference == 70.0
+    for each in (host, basic):
+        each.valid = False
+        each.state = SlaveState.WAIT_PRM if lost else each.state
+        each.after(0.1)
+    assert not host.card.outputs["MA"] and basic.card.torque_reference == 0.0
 
 
 def test_no_bus_fault_before_the_exchange_was_established() -> None:
@@ -464,7 +516,9 @@ def test_a_low_address_is_warned_of(caplog: pytest.LogCaptureFixture) -> None:
 
 
 def test_what_the_slave_in_front_needs() -> None:
-    """GSD file: Ident_Number 0x00CA, Freeze and Sync supported, Fail_Safe 0, Max_Diag_Data_Len 6, no user parameters."""
+    """GSD file: Ident_Number 0x00CA, Freeze and Sync supported, Fail_Safe 0, Max_Diag_Data_Len 6, no user parameters,
+    Min_Slave_Intervall 1."""
     card = SIP1(5)
     assert (card.ident_number, card.configurations) == (0x00CA, (b"\x72", b"\x5f\x6f", b"\x55\x65"))
     assert (card.sync, card.freeze, card.fail_safe, card.max_diagnosis, card.user_parameters) == (True, True, False, 6, (0, 0))
+    assert card.min_slave_interval == 1

@@ -873,6 +873,7 @@ def test_what_the_slave_in_front_needs() -> None:
     card = SIP3(5)
     assert (card.ident_number, len(card.configurations), card.user_parameters) == (0x0ACF, 13, (4, 4))
     assert (card.sync, card.freeze, card.fail_safe, card.max_diagnosis) == (True, True, True, 11)
+    assert card.min_slave_interval == 5 and card.set_address  # Min Slave Interval 5, Set Slave Add supp 1
 
 
 def test_registers_as_a_program_sees_them() -> None:

@@ -180,6 +180,22 @@ def test_table_3_15_codes_arrive_with_their_meaning(call: object, code: int) -> 
     assert caught.value.code == code and caught.value.meaning in str(caught.value)
 
 
+@pytest.mark.parametrize("configuration", CHANNELS)
+def test_parameters_are_stored_by_the_enter_command(configuration: str) -> None:
+    """Table 3.15, 22h: "ENTER command was written during running"; register 0900h."""
+    drive = bench(configuration)
+    drive.write({"n019": 50, "n020": 50})
+    drive.write({"n024": 3000}, store=True)
+    drive.write({"n020": 70})
+    drive.run(6.0)
+    with pytest.raises(ParameterAccessError, match="write 0900h: the drive answers error 22h") as caught:
+        drive.write({}, store=True)
+    assert caught.value.code == 0x22
+    drive.card.reset(drive.now)
+    drive.lose(0.3)
+    assert [drive[name] for name in ("n019", "n020", "n024")] == [50, 50, 3000]
+
+
 def test_several_registers_at_once() -> None:
     drive = bench()
     assert drive.read_parameter("n003", 2) == (3, 9)

@@ -27,9 +27,11 @@ from dpmaster.profiles.yaskawa import (
 from dpmaster.profiles.yaskawa_v7 import (
     CONTROL,
     CURRENT_UNIT,
+    ENTER,
     IDENT_NUMBER,
     INPUT_TERMINALS,
     MAX_TSDR,
+    MIN_SLAVE_INTERVAL,
     OUTPUT_TERMINALS,
     PARAMETERS,
     TORQUE_UNIT,
@@ -135,7 +137,7 @@ class YaskawaV7(Drive[V7Status]):
         super().__init__(address, self.IDENT_NUMBER, self._layout.identifier, self._layout.outputs,
                          layout=self._layout.name, word_order=word_order, name=name, watchdog=watchdog,
                          max_tsdr=MAX_TSDR, group=group, sync=sync, freeze=freeze, fail_safe=False,
-                         min_slave_interval=1, active=active)
+                         min_slave_interval=MIN_SLAVE_INTERVAL, active=active)
         self._channel = ParameterChannel(self, self._layout.channel, register_name) if self._layout.channel else None
 
     def _check_unit(self, unit: str | FrequencyUnit | None) -> FrequencyUnit | None:
@@ -316,6 +318,13 @@ class YaskawaV7(Drive[V7Status]):
     def __setitem__(self, name: str, value: float) -> None:
         """Write a parameter, in the drive's own counts: a whole number."""
         self.write_parameter(name, value)  # type: ignore[arg-type]
+
+    def write(self, values: Mapping[str, float], *, store: bool = False) -> None:
+        """Write parameters, each in force at once; with `store` the ENTER command (register 0900h) follows, which puts all that
+        was written into the drive's EEPROM. That takes a limited number of writes, and none while the drive runs."""
+        super().write(values)
+        if store:
+            self.write_parameter(ENTER, 0)
 
     def parameter(self, name: str) -> ParameterInfo:
         known = PARAMETERS.get(register(name))

@@ -24,6 +24,8 @@ MAX_TSDR: Mapping[int, int] = MappingProxyType({
     6_000_000: 450, 12_000_000: 800,
 })
 """Bit times by rate (bit/s)."""
+MIN_SLAVE_INTERVAL = 1
+"""0.1 ms."""
 
 # -- The three configurations (tables 3.1, 3.7 and 3.12) ----------------------------------------------------------------
 
@@ -144,6 +146,12 @@ class Parameter:
     default: int
     text: str
 
+
+FREQUENCY_REFERENCE = 0x0002
+"""The reference that n004 = 6 takes: written by parameter access (table 1.11), at the drive's usual register."""
+ENTER = 0x0900
+"""The ENTER command of table 3.15, which gives no number; this is the drives' usual one. What the bus has written then outlives
+the power. To be written only: to every other access it is above 0600h."""
 
 # n003, n004, n035 and n152 as tables 1.5 and 1.10 to 1.13 print them. The card's manual names the others without
 # figures; theirs are the V7's usual ones. n024 and the terminals' functions are taken as far as the card needs them.

@@ -30,10 +30,13 @@ from dpmaster.profiles.yaskawa_v7 import (
     CONFIGURATIONS,
     CONTROL,
     CURRENT_UNIT,
+    ENTER,
     FAULTS,
+    FREQUENCY_REFERENCE,
     IDENT_NUMBER,
     INPUT_TERMINALS,
     LED_ROWS,
+    MIN_SLAVE_INTERVAL,
     PARAMETERS,
     TORQUE_UNIT,
     Command,
@@ -59,15 +62,17 @@ _log = logging.getLogger(__name__)
 class Registers(MutableMapping[int | str, int]):
     """The drive's registers, 0000h to 0600h, by address or name ("n003"), as a person with the keypad sees them.
 
-    Parameters (n001 ..) keep their limits; 0020h to 003Fh are monitors. Every other register is mere room: it keeps
-    what was written, 0 to FFFFh. Writing a monitor pins its value until ``del`` frees it, for tests of the other side.
+    Parameters (n001 ..) keep their limits; what is set here is stored at once, what the bus writes is in force at once and
+    stored by the ENTER command. 0020h to 003Fh are monitors. Every other register is mere room: it keeps what was written,
+    0 to FFFFh, until the power is cycled. Setting a monitor pins its value until ``del`` frees it, for tests of the other side.
     The card's manual names one monitor, 0037h (output power, here in W); 0020h, 0021h, 0023h, 0024h and 0027h are the
     V7's usual ones.
     """
 
     def __init__(self, card: SIP1, values: dict[int, int]) -> None:
         self._card = card
-        self._values = values
+        self._stored = values
+        self.recall()
 
     def __getitem__(self, key: int | str) -> int:
         address = self._address(key)
@@ -83,20 +88,35 @@ class Registers(MutableMapping[int | str, int]):
             raise ConfigurationError(f"{register_name(address)} = {value!r}: the register takes {low} to {high}")
         with self._card._lock:
             self._values[address] = int(value)
+            if address in _PARAMETERS:
+                self._stored[address] = int(value)
 
     def __delitem__(self, key: int | str) -> None:
         """Back to the factory's value; a pinned monitor lives again."""
         address = self._address(key)
         with self._card._lock:
-            self._values.pop(address, None)
-            if address in PARAMETERS:
-                self._values[address] = PARAMETERS[address].default
+            for values in (self._values, self._stored):
+                values.pop(address, None)
+                if address in PARAMETERS:
+                    values[address] = PARAMETERS[address].default
 
     def __iter__(self) -> Iterator[int]:
         return iter(range(LAST_REGISTER + 1))
 
     def __len__(self) -> int:
         return LAST_REGISTER + 1
+
+    def write(self, address: int, value: int) -> None:
+        """What the bus writes, within its limits."""
+        self._values[address] = value
+
+    def enter(self) -> None:
+        """The ENTER command: the parameters outlive the power."""
+        self._stored = {address: value for address, value in self._values.items() if address in _PARAMETERS}
+
+    def recall(self) -> None:
+        """What power-up finds."""
+        self._values = dict(self._stored)
 
     @staticmethod
     def limits(address: int) -> tuple[int, int]:
@@ -127,6 +147,7 @@ class SIP1(YaskawaCard):
     configurations: tuple[bytes, ...] = tuple(c.identifier for c in CONFIGURATIONS)
     sync: bool = True
     freeze: bool = True
+    min_slave_interval: int = MIN_SLAVE_INTERVAL
 
     def __init__(self, address: int, *, parameters: Commissioning = "commissioned",
                  word_order: WordOrder = "big", motor: Motor | None = None, seed: int | None = None) -> None:
@@ -196,8 +217,7 @@ class SIP1(YaskawaCard):
 
     def reset(self, now: float) -> None:
         with self._lock:
-            for address in [a for a in self.registers._values if a not in _PARAMETERS]:
-                del self.registers._values[address]
+            self.registers.recall()
             self._injected = None
             self._forget()
             self.motor.cut(now)
@@ -221,6 +241,7 @@ class SIP1(YaskawaCard):
         where = self._configuration
         octets = exchange.outputs if exchanging and exchange.valid and where else b""
         if where is None:
+            self._torque_reference = self._output_command = 0
             self._take(Command(0), 0)
             return
         words = {name: get_word(octets, offset, self.word_order) for name, offset in where.outputs.items()}
@@ -278,10 +299,11 @@ class SIP1(YaskawaCard):
         self._command = command
         unit = self._unit()
         maximum = self.registers[_N011] / 10
-        if self.registers[_N004] == 9:
-            self._reference = min(unit.to_hz(reference), maximum) if unit else 0.0
-        else:  # the keypad has a reference; the terminals and serial lines of this drive are not connected
-            self._reference = min(self.registers[_N024] / 100, maximum) if self.registers[_N004] == 1 else 0.0
+        if (source := self.registers[_N004]) in (6, 9):
+            word = reference if source == 9 else self.registers[FREQUENCY_REFERENCE]
+            self._reference = min(unit.to_hz(word), maximum) if unit else 0.0
+        else:  # the keypad has a reference; the terminals of this drive are not connected
+            self._reference = min(self.registers[_N024] / 100, maximum) if source == 1 else 0.0
         if reset_edge and self._fault and not self._cause():
             self._fault = None
         self._judge()
@@ -417,8 +439,11 @@ class SIP1(YaskawaCard):
         if request.function == Function.READ:
             values = tuple(self.registers[a] for a in addresses)
             return Access(request.function, request.address, request.length, values)
-        for address, value in zip(addresses, request.data, strict=False):
-            self.registers[address] = value
+        if request.address == ENTER:
+            self.registers.enter()
+        else:
+            for address, value in zip(addresses, request.data, strict=False):
+                self.registers.write(address, value)
         return Access(request.function, request.address, request.length)
 
     def _refusal(self, request: Access, words: int) -> AccessCode | None:
@@ -427,19 +452,21 @@ class SIP1(YaskawaCard):
         "Parameter change during running" is taken for every n-parameter.
         """
         n = request.length // 2
+        enter = (request.function, request.address, request.length) == (Function.WRITE, ENTER, 2)
+        highest = ENTER if enter else LAST_REGISTER
         if request.function not in (Function.READ, Function.WRITE):
             return AccessCode.FUNCTION
-        if request.address > LAST_REGISTER:
+        if request.address > highest:
             return AccessCode.ADDRESS
         if request.length % 2 or not 1 <= n <= words:
             return AccessCode.AMOUNT
-        if request.address + n - 1 > LAST_REGISTER:
+        if request.address + n - 1 > highest:
             return AccessCode.ADDRESS
         if request.function == Function.READ:
             return None
         addresses = range(request.address, request.address + n)
         if self.undervoltage or self.storing or any(
-                a in _MONITORS or (a in _PARAMETERS and self.running) for a in addresses):
+                a in _MONITORS or (self.running and (a in _PARAMETERS or a == ENTER)) for a in addresses):
             return AccessCode.WRITE
         for address, value in zip(addresses, request.data, strict=False):
             low, high = Registers.limits(address)
