@@ -469,6 +469,25 @@ def test_faults_by_name_and_their_history() -> None:
     assert [(each.name, each.number) for each in drive.fault_history()] == [("bUS", 0x22)] and drive.faults() == ()
 
 
+@pytest.mark.parametrize("configuration", ["Basic data", *MEMOBUS])
+def test_the_fault_history_is_reset_by_the_edge_of_bit_e(configuration: str) -> None:
+    """Table 10, bit E: fault information is reset by the rising edge; the run command beside it stays."""
+    drive = bench(configuration)
+    for _ in range(2):
+        drive.external_fault()
+        drive.wait_until(lambda s: s.fault, 1.0)
+        drive.external_fault(False)
+        drive.fault_reset()
+        drive.run(6.0)
+        assert [name for name, _ in drive.card.history] == ["EF0"]
+        drive.trace.clear()
+        drive.clear_fault_history()
+        assert said(drive, 0, 2) == ["4001", "0001"] and drive.card.history == [] and drive.card.running
+        drive.stop()
+    with pytest.raises(ConfigurationError, match="clear_fault_history: PPO Type 2 has no bit"):
+        bench("PPO Type 2").clear_fault_history()
+
+
 def test_the_extended_diagnosis_in_words() -> None:
     """Unit_Diag_Bit(0024) to (0027): `05 81 00 00 0x`."""
     texts = YaskawaSIP3.diagnosis_texts

@@ -68,6 +68,7 @@ class AsyncYaskawaSIP3(AsyncDrive[SIP3Status]):
 
     jog = Awaited(YaskawaSIP3.jog)
     fault_history = Awaited(YaskawaSIP3.fault_history)
+    clear_fault_history = Awaited(YaskawaSIP3.clear_fault_history)
     read = Awaited(YaskawaSIP3.read)
     write = Awaited(YaskawaSIP3.write)
     enter = Awaited(YaskawaSIP3.enter)

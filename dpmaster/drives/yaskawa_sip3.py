@@ -422,6 +422,12 @@ class YaskawaSIP3(Drive[SIP3Status]):
         self._conventional("external_fault")
         self._change("command", clear=Command.EXTERNAL_FAULT, set_=Command.EXTERNAL_FAULT if on else 0)
 
+    def clear_fault_history(self) -> None:
+        """Reset fault trace and fault history by the rising edge of bit E (table 10); conventional configurations only."""
+        self._conventional("clear_fault_history")
+        for bit in (Command.HISTORY_RESET, 0):
+            self.wait_sent(self._change("command", clear=Command.HISTORY_RESET, set_=bit), 1.0)
+
     @property
     def digital_inputs(self) -> Terminals:
         """Input terminals S3 to S8 closed over the bus (conventional configurations). H1-03 to H1-08 say what they are for."""
