@@ -15,7 +15,7 @@ from gsd_files import load, needs_files
 from dpmaster import ConfigurationError, Diagnosis, Master, Station, StationState
 from dpmaster.diagnosis import DeviceBlock
 from dpmaster.emulator import Segment
-from dpmaster.emulator.cards import SIP1
+from dpmaster.emulator.cards import SIP1, SIP3
 from dpmaster.emulator.cards.generic import GenericSlave
 from dpmaster.gsd import GSD, Configuration, Span, devices
 
@@ -515,6 +515,38 @@ def test_our_own_files_hold_what_the_manuals_and_the_devices_page_say() -> None:
     assert telegram.user_parameters.hex(" ") == "80 00 00 01 21 35 21 9a 23 29" + " 00" * 6 + " 0c 81 21 9c" + " 00" * 8
     with pytest.raises(ConfigurationError, match="there are those of si-p1, si-p3, vw3a3607"):
         devices.path("si-p2")
+
+
+LISTINGS: dict[str, tuple[type[SIP1] | type[SIP3], dict[str, object]]] = {
+    "si-p1": (SIP1, {  # SI-P1 manual, chapter 2, "GSD File"
+        "model": "PROFIBUS-DP INTERFACE CARD SI-P1", "revision": "Version 3.3", "ident_number": 0x00CA,
+        "hardware_release": "Version 1.3", "software_release": "Version 3.3", "implementation": "SPC3",
+        "max_tsdr": dict(zip(ALL, (60, 60, 250, 60, 60, 100, 150, 250, 450, 800), strict=True)),
+        "freeze": True, "sync": True, "auto_baud": True, "set_slave_add": False, "fail_safe": False, "min_slave_interval": 1,
+        "max_diag_length": 6, "module_offset": 1, "max_user_prm_length": None, "dpv1": False}),
+    "si-p3": (SIP3, {  # SI-P3 manual, chapter 8, "SI-P3 Device Data"
+        "model": "PROFIBUS-DP INTERFACE CARD SI-P3", "revision": "V1.0", "ident_number": 0x0ACF, "hardware_release": "V1.0",
+        "software_release": "V1.0", "implementation": "DPC31", "gsd_revision": 3, "slave_family": "3", "redundancy": False,
+        "max_tsdr": dict(zip(ALL, (60, 60, 60, 60, 60, 100, 150, 250, 450, 800), strict=True)),
+        "freeze": True, "sync": True, "auto_baud": True, "set_slave_add": True, "fail_safe": True, "min_slave_interval": 5,
+        "max_diag_length": 11, "max_user_prm_length": 4, "dpv1": True, "data_types": True, "c1_read_write": False,
+        "c2_read_write": True, "c2_max_data_length": 240, "c2_response_timeout": 100, "c2_read_write_required": False,
+        "max_initiate_length": 52}),
+}
+
+
+@pytest.mark.parametrize("name", LISTINGS)
+def test_figure_by_figure_the_manuals_listings_and_the_emulated_cards(name: str) -> None:
+    kind, figures = LISTINGS[name]
+    gsd, card = GSD.load(devices.path(name)), kind(5)
+    figures |= {"vendor": "YASKAWA ELECTRIC", "protocol_ident": 0, "station_type": 0, "fms": False, "repeater_control": 2,
+                "pins_24v": 0, "modular": True, "max_modules": 1, "max_inputs": 32, "max_outputs": 32, "max_data": 64}
+    assert {figure: getattr(gsd, figure) for figure in figures} == figures
+    assert (card.ident_number, card.sync, card.freeze, card.set_address, card.fail_safe, card.min_slave_interval,
+            card.max_diagnosis, card.user_parameters[1]) == (
+        gsd.ident_number, gsd.sync, gsd.freeze, gsd.set_slave_add, gsd.fail_safe, gsd.min_slave_interval,
+        gsd.max_diag_length, gsd.max_user_prm_length or 0)
+    assert card.configurations == tuple(module.configuration for module in gsd.modules)
 
 
 def test_our_own_file_starts_its_emulated_card() -> None:
