@@ -365,6 +365,54 @@ def test_who_loses_the_ring_on_its_way_out_stays_out():
     assert bus.script.next(limit=1 * S, tokens=True) == b""
 
 
+@pytest.mark.parametrize("role", [RING, lib.DPM_ROLE_SOLE])
+def test_a_duplicate_is_found_by_who_is_alone_and_knows_its_own_echo(role):
+    """What the port does not mark as our own somebody else has said: twice in a row, so we listen; and twice again."""
+    master = Master(500_000, address=5, role=role, echo=True)
+    master.mode(lib.DPM_MODE_STOP)
+    script = Script(master)
+
+    def own() -> None:
+        while (sent := script.next(tokens=True))[0] != 0xDC:
+            feed(master.machine, sent, script.now, script.character, echo=True)
+        feed(master.machine, sent, script.now, script.character, echo=True)
+
+    for _ in range(5):
+        own()
+        script.answer(token(5, 5), tsdr=37)
+        assert master.status.fdl_state != lib.DPM_FDL_LISTEN_TOKEN, "a copy now and then, ours in between"
+    script.answer(token(5, 5), tsdr=37)
+    assert master.status.fdl_state == lib.DPM_FDL_LISTEN_TOKEN and not master.view.duplicate
+    script.answer(token(5, 5), tsdr=37)
+    assert master.status.mode == lib.DPM_MODE_STOP
+    script.answer(token(5, 5), tsdr=37)
+    assert master.view.duplicate and master.status.mode == lib.DPM_MODE_OFFLINE
+    assert script.next(limit=1 * S, tokens=True) == b""
+
+
+def test_a_sole_master_counts_copies_of_its_token_anew_when_it_has_given_way():
+    """One long before the foreign master is no first of two."""
+    master = Master(500_000, address=5, echo=True)
+    master.mode(lib.DPM_MODE_STOP)
+    script = Script(master)
+    feed(master.machine, script.next(tokens=True), script.now, script.character, echo=True)
+    for sent in (token(5, 5), token(9, 2), token(5, 5)):
+        script.answer(sent, tsdr=37)
+    assert master.status.fdl_state == lib.DPM_FDL_LISTEN_TOKEN and master.status.mode == lib.DPM_MODE_STOP
+    script.answer(token(5, 5), tsdr=37)
+    assert master.view.duplicate
+
+
+def test_a_sole_master_whose_port_does_not_know_its_echo_hears_no_duplicate():
+    master = Master(500_000, address=5)
+    master.mode(lib.DPM_MODE_STOP)
+    script = Script(master)
+    for n in range(10):
+        script.answer(script.next(tokens=True), tsdr=0)
+        assert master.status.fdl.stray == n + 1
+    assert master.status.fdl.tokens == 10 and master.status.mode == lib.DPM_MODE_STOP
+
+
 def test_in_the_ring_two_foreign_tokens_of_ours_in_a_row_lead_to_listening():
     bus = Bus()
     bus.entered()

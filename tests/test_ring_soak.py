@@ -96,9 +96,9 @@ class Ring:
         return stations * (33 + tid1) + 66 + int(self.wire.parameters.tsl) + tid1
 
     def heal(self) -> None:
-        """Whole again in time: Tto, three tries of a token to each and what two that talk in step need to part; behind that no
-        rule is broken, and a GAP round finds who fell out."""
-        self.wire.run(60 * self.tsl, violation=False)
+        """Whole again in time: two that both believe to have the token part within the slots of its three tries; behind that
+        no rule is broken, and a GAP round finds who fell out."""
+        self.wire.run(3 * self.tsl, violation=False)
         self.wire.clear()
         end = self.wire.now + 126 * self.wire.bits(self.rotation(len(self.addresses)))
         while not self.formed():

@@ -186,6 +186,7 @@ static void give_way(dpm_station *st, uint8_t address, int64_t now)
     if (lost) {
         put_event(st, now, DPM_EV_FOREIGN, address, 0, 0);
         st->foreign_gap = 0;
+        st->own_heard = 0;
     }
     dpm_station_drop_token(st, DPM_FDL_LISTEN_TOKEN, now, lost);
 }
@@ -195,7 +196,7 @@ static void heard_token(dpm_station *st, uint8_t sa, uint8_t da, const dpm_recei
     const bool ours = sa == st->config.address && st->config.role != DPM_ROLE_PASSIVE;
     st->statistics.foreign += !ours;
     st->foreign = ours ? st->foreign : sa;
-    if (st->config.role != DPM_ROLE_SOLE) {
+    if (st->config.role != DPM_ROLE_SOLE || (ours && st->echoes)) { /* marked echoes do not come here: another has our address */
         dpm_token_heard(st, sa, da, rx);
     } else if (ours) {
         st->statistics.stray++; /* heard back through a port that does not know its echo */

@@ -300,6 +300,7 @@ void dpm_token_echoed(dpm_station *station, bool right, int64_t now)
     const bool deaf = station->echo_n == 0;
     station->statistics.tokens_spoilt += !right;
     station->spoilt = right ? 0 : (uint8_t)(station->spoilt + 1);
+    station->own_heard = right ? 0 : station->own_heard; /* one of ours in between */
     if (station->spoilt < 2)
         return;
     station->spoilt = 0;
