@@ -32,7 +32,7 @@ struct dpm_slaves {
     uint16_t searching; /* slaves that search their rate */
     uint8_t station[DPM_BROADCAST + 1]; /* by address: the slave's index plus 1, 0 none */
     /* The answer that waits to leave. */
-    dpm_slave *answering; /* NULL: none */
+    dpm_responder *answering; /* NULL: none */
     const uint8_t *answer;
     size_t answer_length;
     int64_t not_before;
@@ -44,11 +44,11 @@ struct dpm_slaves {
     uint8_t unnumbered[DPM_TELEGRAM_MAX]; /* answers outside the FCB's sequence: the stored ones stay */
     int64_t deadline[SLAVES_MAX]; /* of watchdog and rate, apart from the slaves: searched with every event */
     dpm_receiver receiver;
-    dpm_slave slave[];
+    dpm_responder slave[];
 };
 
 /* After anything that was done to a slave. */
-static void settle(dpm_slaves *slaves, dpm_slave *slave)
+static void settle(dpm_slaves *slaves, dpm_responder *slave)
 {
     ptrdiff_t index = slave - slaves->slave;
     slaves->deadline[index] = slave->watchdog_deadline < slave->baud_deadline ? slave->watchdog_deadline : slave->baud_deadline;
@@ -65,20 +65,20 @@ static void settle(dpm_slaves *slaves, dpm_slave *slave)
 /* ---- the rate, page I.6 ---- */
 
 /* "BAUD_CONTROL: retriggered by each error-free telegram to the own address"; in DP_CONTROL the watchdog supervises. */
-static void keep_rate(dpm_slave *slave, int64_t time)
+static void keep_rate(dpm_responder *slave, int64_t time)
 {
     bool supervised = slave->config.auto_baud && slave->config.baud_control > 0 && !slave->report.watchdog_on;
     slave->baud_deadline = supervised ? time + slave->config.baud_control * (int64_t)BAUD_CONTROL_UNIT : DPM_NEVER;
 }
 
-static void set_searching(dpm_slaves *slaves, dpm_slave *slave, bool searching)
+static void set_searching(dpm_slaves *slaves, dpm_responder *slave, bool searching)
 {
     slaves->searching = (uint16_t)(slaves->searching + searching - slave->searching);
     slave->searching = searching;
     slave->changed = true;
 }
 
-static void search_rate(dpm_slaves *slaves, dpm_slave *slave, int64_t time)
+static void search_rate(dpm_slaves *slaves, dpm_responder *slave, int64_t time)
 {
     set_searching(slaves, slave, true);
     slave->search_start = time;
@@ -86,7 +86,7 @@ static void search_rate(dpm_slaves *slaves, dpm_slave *slave, int64_t time)
 }
 
 /* "Starts at 12M, goes down after a monitoring time": where it listens is a matter of time, so a search needs no timer. */
-static bool hears(const dpm_slaves *slaves, const dpm_slave *slave, const dpm_received *received)
+static bool hears(const dpm_slaves *slaves, const dpm_responder *slave, const dpm_received *received)
 {
     int64_t since = received->start_latest - slave->search_start;
     int64_t begin = since % slaves->search_round - slaves->search_begin;
@@ -98,7 +98,7 @@ static bool hears(const dpm_slaves *slaves, const dpm_slave *slave, const dpm_re
 static void find_rate(dpm_slaves *slaves, const dpm_received *received)
 {
     for (uint16_t i = 0; i < slaves->count; i++) {
-        dpm_slave *slave = &slaves->slave[i];
+        dpm_responder *slave = &slaves->slave[i];
         if (!slave->searching || !slave->connected || !hears(slaves, slave, received))
             continue;
         set_searching(slaves, slave, false);
@@ -125,18 +125,18 @@ static void plan_search(dpm_slaves *slaves)
     }
 }
 
-static bool listens(const dpm_slave *slave)
+static bool listens(const dpm_responder *slave)
 {
     return slave->connected && !slave->searching;
 }
 
 /* ---- power, watchdogs ---- */
 
-static void power_on(dpm_slaves *slaves, dpm_slave *slave, int64_t now)
+static void power_on(dpm_slaves *slaves, dpm_responder *slave, int64_t now)
 {
     if (slaves->answering == slave)
         slaves->answering = NULL;
-    dpm_slave_power_on(slave, now);
+    dpm_responder_power_on(slave, now);
     slave->request_start = now - slave->config.min_slave_interval * (int64_t)SLAVE_INTERVAL_UNIT;
     slave->baud_deadline = DPM_NEVER;
     if (slave->config.auto_baud)
@@ -144,11 +144,11 @@ static void power_on(dpm_slaves *slaves, dpm_slave *slave, int64_t now)
     settle(slaves, slave);
 }
 
-static void expire_slave(dpm_slaves *slaves, dpm_slave *slave, int64_t time)
+static void expire_slave(dpm_slaves *slaves, dpm_responder *slave, int64_t time)
 {
     if (slave->watchdog_deadline < time) {
         int64_t deadline = slave->watchdog_deadline;
-        dpm_slave_expire(slave);
+        dpm_responder_expire(slave);
         keep_rate(slave, deadline); /* "DP state machine reset, then BAUD_CONTROL" */
     }
     if (slave->baud_deadline < time)
@@ -197,7 +197,8 @@ static uint8_t encode(const dpm_telegram *request, const dpm_reply *reply, uint8
     return n > 0 ? (uint8_t)n : 0;
 }
 
-static void offer_answer(dpm_slaves *slaves, dpm_slave *slave, const dpm_received *request, const uint8_t *octets, uint8_t n)
+static void offer_answer(dpm_slaves *slaves, dpm_responder *slave, const dpm_received *request, const uint8_t *octets,
+                         uint8_t n)
 {
     slaves->answering = n > 0 ? slave : NULL;
     slaves->answer = octets;
@@ -206,7 +207,7 @@ static void offer_answer(dpm_slaves *slaves, dpm_slave *slave, const dpm_receive
     slaves->not_after = request->end_earliest + slaves->answer_within;
 }
 
-static void answer_unnumbered(dpm_slaves *slaves, dpm_slave *slave, const dpm_received *request, const dpm_reply *reply)
+static void answer_unnumbered(dpm_slaves *slaves, dpm_responder *slave, const dpm_received *request, const dpm_reply *reply)
 {
     uint8_t n = encode(&request->telegram, reply, slaves->unnumbered);
     offer_answer(slaves, slave, request, slaves->unnumbered, n);
@@ -217,14 +218,14 @@ static void answer_unnumbered(dpm_slaves *slaves, dpm_slave *slave, const dpm_re
 /* "Retriggered by every correct request of the own master to this slave": SRD and SDA whatever their answer and their
  * repetitions, but no status requests, and Global_Control only where that is set: it may go on when the master's DP is
  * long dead. */
-static void retrigger(dpm_slave *slave, const dpm_received *request)
+static void retrigger(dpm_responder *slave, const dpm_received *request)
 {
     if (slave->report.watchdog_on && slave->report.master == request->telegram.sa)
         slave->watchdog_deadline = request->end_latest + slave->report.watchdog;
 }
 
 /* "The master must keep this distance for every master-slave function": what is certainly less is counted. */
-static void measure_interval(dpm_slave *slave, const dpm_received *request)
+static void measure_interval(dpm_responder *slave, const dpm_received *request)
 {
     int64_t least = slave->config.min_slave_interval * (int64_t)SLAVE_INTERVAL_UNIT;
     slave->report.too_soon += request->start_latest - slave->request_start < least;
@@ -232,7 +233,7 @@ static void measure_interval(dpm_slave *slave, const dpm_received *request)
 }
 
 /* The responder's frame count bit, page C.2. */
-static void exchange(dpm_slaves *slaves, dpm_slave *slave, const dpm_received *request)
+static void exchange(dpm_slaves *slaves, dpm_responder *slave, const dpm_received *request)
 {
     const dpm_telegram *telegram = &request->telegram;
     bool fcv = telegram->fc & DPM_FC_FCV, fcb = telegram->fc & DPM_FC_FCB;
@@ -244,7 +245,7 @@ static void exchange(dpm_slaves *slaves, dpm_slave *slave, const dpm_received *r
         return;
     }
     measure_interval(slave, request);
-    dpm_reply reply = dpm_slave_serve(slave, request);
+    dpm_reply reply = dpm_responder_serve(slave, request);
     if (!fcv && !fcb) { /* "no FCB evaluation" */
         answer_unnumbered(slaves, slave, request, &reply);
         return;
@@ -262,21 +263,21 @@ static bool is_control(const dpm_telegram *telegram)
            telegram->ssap == DPM_SAP_MASTER;
 }
 
-static void control(dpm_slave *slave, const dpm_received *request)
+static void control(dpm_responder *slave, const dpm_received *request)
 {
     if (slave->config.control_feeds)
         retrigger(slave, request);
-    dpm_slave_control(slave, request);
+    dpm_responder_control(slave, request);
 }
 
-static dpm_reply identity(const dpm_slave *slave)
+static dpm_reply identity(const dpm_responder *slave)
 {
     const dpm_slave_config *config = &slave->config;
     return (dpm_reply){.fc = config->identity_length > 0 ? DPM_RES_DL : DPM_RES_RS, .data = config->identity,
                        .length = config->identity_length};
 }
 
-static void request_for(dpm_slaves *slaves, dpm_slave *slave, const dpm_received *request)
+static void request_for(dpm_slaves *slaves, dpm_responder *slave, const dpm_received *request)
 {
     static const dpm_reply status = {.fc = DPM_RES_OK}, refused = {.fc = DPM_RES_RS};
     dpm_reply who;
@@ -332,7 +333,7 @@ static void dispatch(dpm_slaves *slaves, const dpm_received *received)
     if (telegram->da == DPM_BROADCAST) {
         broadcast(slaves, received);
     } else if (slaves->station[telegram->da] != 0) {
-        dpm_slave *slave = &slaves->slave[slaves->station[telegram->da] - 1];
+        dpm_responder *slave = &slaves->slave[slaves->station[telegram->da] - 1];
         if (listens(slave))
             request_for(slaves, slave, received);
     }
@@ -403,7 +404,7 @@ static void on_ask(dpm_machine *machine, int64_t now, dpm_offer *offer)
 
 size_t dpm_slaves_size(uint16_t slaves)
 {
-    return sizeof(dpm_slaves) + slaves * sizeof(dpm_slave);
+    return sizeof(dpm_slaves) + slaves * sizeof(dpm_responder);
 }
 
 int dpm_slaves_init(void *block, size_t size, const dpm_parameters *parameters, const dpm_port_traits *traits,
@@ -452,7 +453,7 @@ static int check_config(const dpm_slaves *slaves, const dpm_slave_config *config
     return DPM_OK;
 }
 
-static int take_configurations(dpm_slave *slave)
+static int take_configurations(dpm_responder *slave)
 {
     const dpm_slave_config *config = &slave->config;
     for (unsigned i = 0; i < config->configurations; i++) {
@@ -475,7 +476,7 @@ int dpm_slaves_add(dpm_slaves *slaves, const dpm_slave_config *config, dpm_image
         return bad;
     if (slaves->count == slaves->room)
         return DPM_E_FULL;
-    dpm_slave *slave = &slaves->slave[slaves->count];
+    dpm_responder *slave = &slaves->slave[slaves->count];
     memset(slave, 0, sizeof *slave);
     slave->config = *config;
     bad = take_configurations(slave);
@@ -493,7 +494,7 @@ int dpm_slaves_add(dpm_slaves *slaves, const dpm_slave_config *config, dpm_image
     return slaves->count - 1;
 }
 
-static dpm_slave *find(dpm_slaves *slaves, int index)
+static dpm_responder *find(dpm_slaves *slaves, int index)
 {
     return index >= 0 && index < slaves->count ? &slaves->slave[index] : NULL;
 }
@@ -502,7 +503,7 @@ int dpm_slaves_get(const dpm_slaves *slaves, int index, dpm_slave_state_report *
 {
     if (index < 0 || index >= slaves->count || !report)
         return DPM_E_ARGUMENT;
-    const dpm_slave *slave = &slaves->slave[index];
+    const dpm_responder *slave = &slaves->slave[index];
     *report = slave->report;
     report->baud_state = slave->searching ? DPM_BAUD_SEARCH : report->watchdog_on ? DPM_DP_CONTROL : DPM_BAUD_CONTROL;
     if (!slave->connected)
@@ -512,7 +513,7 @@ int dpm_slaves_get(const dpm_slaves *slaves, int index, dpm_slave_state_report *
 
 int dpm_slaves_connect(dpm_slaves *slaves, int index, bool connected)
 {
-    dpm_slave *slave = find(slaves, index);
+    dpm_responder *slave = find(slaves, index);
     if (!slave)
         return DPM_E_ARGUMENT;
     if (slaves->answering == slave)
@@ -525,7 +526,7 @@ int dpm_slaves_connect(dpm_slaves *slaves, int index, bool connected)
 
 int dpm_slaves_reset(dpm_slaves *slaves, int index, int64_t now)
 {
-    dpm_slave *slave = find(slaves, index);
+    dpm_responder *slave = find(slaves, index);
     if (!slave)
         return DPM_E_ARGUMENT;
     power_on(slaves, slave, now);
@@ -534,7 +535,7 @@ int dpm_slaves_reset(dpm_slaves *slaves, int index, int64_t now)
 
 int dpm_slaves_set_address(dpm_slaves *slaves, int index, uint8_t address, bool locked, int64_t now)
 {
-    dpm_slave *slave = find(slaves, index);
+    dpm_responder *slave = find(slaves, index);
     if (!slave)
         return DPM_E_ARGUMENT;
     if (address >= DPM_BROADCAST)
@@ -551,7 +552,7 @@ int dpm_slaves_set_address(dpm_slaves *slaves, int index, uint8_t address, bool 
 int dpm_slaves_diagnosis(dpm_slaves *slaves, int index, const uint8_t *octets, uint8_t n, bool announce, bool ext_diag,
                          bool static_diag)
 {
-    dpm_slave *slave = find(slaves, index);
+    dpm_responder *slave = find(slaves, index);
     if (!slave || (n > 0 && !octets))
         return DPM_E_ARGUMENT;
     uint8_t room = (uint8_t)(slave->config.max_diagnosis - 6);
@@ -567,7 +568,7 @@ int dpm_slaves_diagnosis(dpm_slaves *slaves, int index, const uint8_t *octets, u
 
 int dpm_slaves_ready(dpm_slaves *slaves, int index, bool ready)
 {
-    dpm_slave *slave = find(slaves, index);
+    dpm_responder *slave = find(slaves, index);
     if (!slave)
         return DPM_E_ARGUMENT;
     /* In Data_Exchange the master learns of it through the diagnosis flag only. */

@@ -42,19 +42,19 @@ static dpm_reply reply_data(const uint8_t *data, uint8_t length)
     return (dpm_reply){.fc = DPM_RES_DL, .data = data, .length = length};
 }
 
-static bool locked_for(const dpm_slave *slave, uint8_t master)
+static bool locked_for(const dpm_responder *slave, uint8_t master)
 {
     return slave->report.state != DPM_SL_WAIT_PRM && slave->report.master != master;
 }
 
-static dpm_reply refuse_other(const dpm_slave *slave)
+static dpm_reply refuse_other(const dpm_responder *slave)
 {
     return slave->config.foreign_sc ? REPLY_SC : REPLY_RS;
 }
 
 /* ---- states and outputs ---- */
 
-static void set_state(dpm_slave *slave, enum dpm_slave_state state, int16_t master, int8_t configuration)
+static void set_state(dpm_responder *slave, enum dpm_slave_state state, int16_t master, int8_t configuration)
 {
     dpm_slave_state_report *report = &slave->report;
     if (report->state != state || report->master != master || report->configuration != configuration)
@@ -65,7 +65,7 @@ static void set_state(dpm_slave *slave, enum dpm_slave_state state, int16_t mast
 }
 
 /* An application is told of changes only: a bus that repeats one image 10 000 times a second shall not wake it. */
-static void publish(dpm_slave *slave, const uint8_t *octets, uint8_t length, bool valid, int64_t time)
+static void publish(dpm_responder *slave, const uint8_t *octets, uint8_t length, bool valid, int64_t time)
 {
     dpm_frame *frame = &slave->terminals;
     if (frame->valid == valid && frame->length == length && memcmp(frame->octets, octets, length) == 0)
@@ -79,14 +79,14 @@ static void publish(dpm_slave *slave, const uint8_t *octets, uint8_t length, boo
     slave->changed = true;
 }
 
-static void publish_safe(dpm_slave *slave, uint8_t length, int64_t time)
+static void publish_safe(dpm_responder *slave, uint8_t length, int64_t time)
 {
     static const uint8_t zeros[DPM_IO_MAX];
     slave->buffer_valid = false;
     publish(slave, zeros, length, false, time);
 }
 
-static void set_clear(dpm_slave *slave, bool clear)
+static void set_clear(dpm_responder *slave, bool clear)
 {
     if (slave->report.clear != clear)
         slave->changed = true;
@@ -94,7 +94,7 @@ static void set_clear(dpm_slave *slave, bool clear)
 }
 
 /* "Leaving DATA-EXCH cancels sync and freeze", and the outputs are safe at once. */
-static void leave_exchange(dpm_slave *slave, int64_t time)
+static void leave_exchange(dpm_responder *slave, int64_t time)
 {
     slave->cleared = slave->sync = slave->freeze = false;
     slave->report.operate_seen = false;
@@ -102,7 +102,7 @@ static void leave_exchange(dpm_slave *slave, int64_t time)
     publish_safe(slave, (uint8_t)slave->terminals.length, time);
 }
 
-static void wait_prm(dpm_slave *slave, int64_t time)
+static void wait_prm(dpm_responder *slave, int64_t time)
 {
     leave_exchange(slave, time);
     slave->report.watchdog_on = false;
@@ -110,7 +110,7 @@ static void wait_prm(dpm_slave *slave, int64_t time)
     set_state(slave, DPM_SL_WAIT_PRM, -1, -1);
 }
 
-void dpm_slave_power_on(dpm_slave *slave, int64_t time)
+void dpm_responder_power_on(dpm_responder *slave, int64_t time)
 {
     slave->fcb_master = -1;
     slave->answer_length = 0;
@@ -125,7 +125,7 @@ void dpm_slave_power_on(dpm_slave *slave, int64_t time)
     wait_prm(slave, time);
 }
 
-void dpm_slave_expire(dpm_slave *slave)
+void dpm_responder_expire(dpm_responder *slave)
 {
     slave->report.watchdog_expired++;
     wait_prm(slave, slave->watchdog_deadline);
@@ -133,19 +133,19 @@ void dpm_slave_expire(dpm_slave *slave)
 
 /* ---- Set_Prm ---- */
 
-static bool user_parameters_fit(const dpm_slave *slave, const dpm_telegram *prm)
+static bool user_parameters_fit(const dpm_responder *slave, const dpm_telegram *prm)
 {
     int length = prm->length - PRM_USER;
     return length >= slave->config.user_parameters_min && length <= slave->config.user_parameters_max;
 }
 
-static bool ident_matches(const dpm_slave *slave, uint8_t high, uint8_t low)
+static bool ident_matches(const dpm_responder *slave, uint8_t high, uint8_t low)
 {
     return (high << 8 | low) == slave->config.ident_number;
 }
 
 /* 0 keeps what is; below 11 nothing can be kept on the wire; past max Tsdr no answer would ever leave. */
-static bool set_min_tsdr(dpm_slave *slave, uint8_t min_tsdr)
+static bool set_min_tsdr(dpm_responder *slave, uint8_t min_tsdr)
 {
     if (min_tsdr == 0)
         return true;
@@ -155,7 +155,7 @@ static bool set_min_tsdr(dpm_slave *slave, uint8_t min_tsdr)
     return true;
 }
 
-static int64_t watchdog_time(const dpm_slave *slave, const dpm_telegram *prm)
+static int64_t watchdog_time(const dpm_responder *slave, const dpm_telegram *prm)
 {
     int64_t base = WD_BASE;
     /* DPV1_Status_1 exists only where the slave takes the three DPV1 status octets. */
@@ -165,7 +165,7 @@ static int64_t watchdog_time(const dpm_slave *slave, const dpm_telegram *prm)
 }
 
 /* Lock: every parameter is judged before one is taken. */
-static bool parameters_good(dpm_slave *slave, const dpm_telegram *prm)
+static bool parameters_good(dpm_responder *slave, const dpm_telegram *prm)
 {
     uint8_t status = prm->data[PRM_STATUS];
     slave->not_supported = ((status & PRM_SYNC_REQ) && !slave->config.sync_supported) ||
@@ -175,14 +175,14 @@ static bool parameters_good(dpm_slave *slave, const dpm_telegram *prm)
            set_min_tsdr(slave, prm->data[PRM_MIN_TSDR]);
 }
 
-static void take_user_parameters(dpm_slave *slave, const dpm_telegram *prm)
+static void take_user_parameters(dpm_responder *slave, const dpm_telegram *prm)
 {
     slave->report.user_parameters_length = (uint8_t)(prm->length - PRM_USER);
     memcpy(slave->report.user_parameters, prm->data + PRM_USER, slave->report.user_parameters_length);
     slave->changed = true;
 }
 
-static void take_parameters(dpm_slave *slave, const dpm_telegram *prm, int64_t end)
+static void take_parameters(dpm_responder *slave, const dpm_telegram *prm, int64_t end)
 {
     dpm_slave_state_report *report = &slave->report;
     uint8_t status = prm->data[PRM_STATUS];
@@ -196,7 +196,7 @@ static void take_parameters(dpm_slave *slave, const dpm_telegram *prm, int64_t e
 }
 
 /* "DATA-EXCH if nothing relevant changed per some stacks, WAIT-CFG per others". */
-static bool stays_in_exchange(const dpm_slave *slave, const dpm_telegram *prm)
+static bool stays_in_exchange(const dpm_responder *slave, const dpm_telegram *prm)
 {
     const dpm_slave_state_report *report = &slave->report;
     uint8_t status = prm->data[PRM_STATUS];
@@ -206,14 +206,14 @@ static bool stays_in_exchange(const dpm_slave *slave, const dpm_telegram *prm)
            memcmp(prm->data + PRM_USER, report->user_parameters, report->user_parameters_length) == 0;
 }
 
-static dpm_reply refuse_parameters(dpm_slave *slave, int64_t time)
+static dpm_reply refuse_parameters(dpm_responder *slave, int64_t time)
 {
     slave->prm_fault = true;
     wait_prm(slave, time);
     return REPLY_SC; /* "SC only confirms delivery; the verdict is in the next Slave_Diag" */
 }
 
-static dpm_reply set_prm(dpm_slave *slave, const dpm_received *request)
+static dpm_reply set_prm(dpm_responder *slave, const dpm_received *request)
 {
     const dpm_telegram *prm = &request->telegram;
     int64_t time = request->end_latest;
@@ -253,7 +253,7 @@ static dpm_reply set_prm(dpm_slave *slave, const dpm_received *request)
 
 /* "Executed only in WAIT-PRM, only if the ident matches and address change not locked; else ignored (still SC)". On the
  * wire of this machine an address is one slave's. */
-static dpm_reply set_slave_add(dpm_slave *slave, const dpm_telegram *add)
+static dpm_reply set_slave_add(dpm_responder *slave, const dpm_telegram *add)
 {
     dpm_slave_state_report *report = &slave->report;
     if (!slave->config.set_address)
@@ -272,7 +272,7 @@ static dpm_reply set_slave_add(dpm_slave *slave, const dpm_telegram *add)
 
 /* ---- Chk_Cfg, Get_Cfg ---- */
 
-static int8_t find_configuration(const dpm_slave *slave, const uint8_t *octets, uint8_t n)
+static int8_t find_configuration(const dpm_responder *slave, const uint8_t *octets, uint8_t n)
 {
     for (int8_t i = 0; i < slave->config.configurations; i++)
         if (slave->config.configuration_length[i] == n && memcmp(slave->config.configuration[i], octets, n) == 0)
@@ -280,7 +280,7 @@ static int8_t find_configuration(const dpm_slave *slave, const uint8_t *octets, 
     return -1;
 }
 
-static dpm_reply chk_cfg(dpm_slave *slave, const dpm_received *request)
+static dpm_reply chk_cfg(dpm_responder *slave, const dpm_received *request)
 {
     const dpm_telegram *cfg = &request->telegram;
     if (slave->report.state == DPM_SL_WAIT_PRM)
@@ -302,7 +302,7 @@ static dpm_reply chk_cfg(dpm_slave *slave, const dpm_received *request)
     return REPLY_SC;
 }
 
-static dpm_reply get_cfg(const dpm_slave *slave)
+static dpm_reply get_cfg(const dpm_responder *slave)
 {
     int8_t i = slave->report.configuration < 0 ? 0 : slave->report.configuration;
     return reply_data(slave->config.configuration[i], slave->config.configuration_length[i]);
@@ -310,7 +310,7 @@ static dpm_reply get_cfg(const dpm_slave *slave)
 
 /* ---- Slave_Diag ---- */
 
-static dpm_reply slave_diag(dpm_slave *slave, uint8_t master)
+static dpm_reply slave_diag(dpm_responder *slave, uint8_t master)
 {
     const dpm_slave_state_report *report = &slave->report;
     bool not_ready = report->state != DPM_SL_DATA_EXCH || !slave->ready;
@@ -334,7 +334,7 @@ static dpm_reply slave_diag(dpm_slave *slave, uint8_t master)
 /* ---- Data_Exchange, RD_Inp, RD_Outp ---- */
 
 /* The application's newest inputs, in the configured length: "their first octets, padded with zeros". */
-static const uint8_t *sample_inputs(dpm_slave *slave)
+static const uint8_t *sample_inputs(dpm_responder *slave)
 {
     const dpm_frame *frame = dpm_image_get(slave->inputs);
     if (frame->length >= slave->inputs_length)
@@ -344,12 +344,12 @@ static const uint8_t *sample_inputs(dpm_slave *slave)
     return slave->scratch;
 }
 
-static const uint8_t *current_inputs(dpm_slave *slave)
+static const uint8_t *current_inputs(dpm_responder *slave)
 {
     return slave->freeze ? slave->frozen : sample_inputs(slave);
 }
 
-static dpm_reply no_inputs_reply(const dpm_slave *slave, bool diagnosis)
+static dpm_reply no_inputs_reply(const dpm_responder *slave, bool diagnosis)
 {
     static const uint8_t octet = 0;
     if (!diagnosis || slave->config.announce == DPM_ANNOUNCE_NEVER)
@@ -357,7 +357,7 @@ static dpm_reply no_inputs_reply(const dpm_slave *slave, bool diagnosis)
     return (dpm_reply){.fc = DPM_RES_DH, .data = &octet, .length = slave->config.announce == DPM_ANNOUNCE_OCTET};
 }
 
-static dpm_reply inputs_reply(dpm_slave *slave)
+static dpm_reply inputs_reply(dpm_responder *slave)
 {
     bool diagnosis = slave->announced || slave->static_diag;
     if (slave->inputs_length == 0)
@@ -367,7 +367,7 @@ static dpm_reply inputs_reply(dpm_slave *slave)
     return reply;
 }
 
-static void take_outputs(dpm_slave *slave, const dpm_telegram *exchange, bool empty, int64_t time)
+static void take_outputs(dpm_responder *slave, const dpm_telegram *exchange, bool empty, int64_t time)
 {
     set_clear(slave, slave->cleared || empty);
     if (slave->report.clear) {
@@ -380,7 +380,7 @@ static void take_outputs(dpm_slave *slave, const dpm_telegram *exchange, bool em
     }
 }
 
-static dpm_reply data_exchange(dpm_slave *slave, const dpm_received *request)
+static dpm_reply data_exchange(dpm_responder *slave, const dpm_received *request)
 {
     const dpm_telegram *exchange = &request->telegram;
     if (locked_for(slave, exchange->sa))
@@ -398,7 +398,7 @@ static dpm_reply data_exchange(dpm_slave *slave, const dpm_received *request)
     return inputs_reply(slave);
 }
 
-static dpm_reply read_image(const dpm_slave *slave, const uint8_t *octets, uint8_t length)
+static dpm_reply read_image(const dpm_responder *slave, const uint8_t *octets, uint8_t length)
 {
     if (slave->report.state != DPM_SL_DATA_EXCH)
         return REPLY_RS;
@@ -407,7 +407,7 @@ static dpm_reply read_image(const dpm_slave *slave, const uint8_t *octets, uint8
 
 /* ---- Global_Control ---- */
 
-static void control_sync(dpm_slave *slave, uint8_t command, int64_t time)
+static void control_sync(dpm_responder *slave, uint8_t command, int64_t time)
 {
     if (!slave->sync_enabled || !(command & (GC_SYNC | GC_UNSYNC)))
         return;
@@ -417,7 +417,7 @@ static void control_sync(dpm_slave *slave, uint8_t command, int64_t time)
     slave->sync = !(command & GC_UNSYNC); /* "Unsync over Sync when both are set" */
 }
 
-static void control_freeze(dpm_slave *slave, uint8_t command)
+static void control_freeze(dpm_responder *slave, uint8_t command)
 {
     if (!slave->freeze_enabled || !(command & (GC_FREEZE | GC_UNFREEZE)))
         return;
@@ -426,7 +426,7 @@ static void control_freeze(dpm_slave *slave, uint8_t command)
         memcpy(slave->frozen, sample_inputs(slave), slave->inputs_length);
 }
 
-void dpm_slave_control(dpm_slave *slave, const dpm_received *request)
+void dpm_responder_control(dpm_responder *slave, const dpm_received *request)
 {
     const dpm_telegram *control = &request->telegram;
     if (slave->report.state != DPM_SL_DATA_EXCH || locked_for(slave, control->sa) || control->length != 2)
@@ -448,7 +448,7 @@ void dpm_slave_control(dpm_slave *slave, const dpm_received *request)
 
 /* ---- which service ---- */
 
-dpm_reply dpm_slave_serve(dpm_slave *slave, const dpm_received *request)
+dpm_reply dpm_responder_serve(dpm_responder *slave, const dpm_received *request)
 {
     const dpm_telegram *telegram = &request->telegram;
     uint8_t function = telegram->fc & 0x0F;

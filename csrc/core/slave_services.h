@@ -9,7 +9,7 @@
 
 #include "dpmaster/slave.h"
 
-typedef struct dpm_slave {
+typedef struct dpm_responder {
     /* What dpm_slaves_get tells. Its state is the card's own: unplugged, it is kept and only told as OFF. */
     dpm_slave_state_report report;
     bool connected;
@@ -63,7 +63,7 @@ typedef struct dpm_slave {
     uint8_t configuration_inputs[DPM_SLAVE_CONFIGURATIONS];
     uint8_t configuration_outputs[DPM_SLAVE_CONFIGURATIONS];
     dpm_slave_config config;
-} dpm_slave;
+} dpm_responder;
 
 /* A service's answer before it is a telegram. */
 typedef struct dpm_reply {
@@ -74,12 +74,12 @@ typedef struct dpm_reply {
 } dpm_reply;
 
 /* Power on: WAIT_PRM, nothing known, outputs safe. Counters, images, configuration and address stay. */
-void dpm_slave_power_on(dpm_slave *slave, int64_t time);
+void dpm_responder_power_on(dpm_responder *slave, int64_t time);
 /* Execute a new SRD or SDA request. */
-dpm_reply dpm_slave_serve(dpm_slave *slave, const dpm_received *request);
+dpm_reply dpm_responder_serve(dpm_responder *slave, const dpm_received *request);
 /* Execute a Global_Control. */
-void dpm_slave_control(dpm_slave *slave, const dpm_received *request);
+void dpm_responder_control(dpm_responder *slave, const dpm_received *request);
 /* The watchdog ran out at its deadline. */
-void dpm_slave_expire(dpm_slave *slave);
+void dpm_responder_expire(dpm_responder *slave);
 
 #endif
