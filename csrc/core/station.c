@@ -196,7 +196,7 @@ static void heard_token(dpm_station *st, uint8_t sa, uint8_t da, const dpm_recei
     const bool ours = sa == st->config.address && st->config.role != DPM_ROLE_PASSIVE;
     st->statistics.foreign += !ours;
     st->foreign = ours ? st->foreign : sa;
-    if (st->config.role != DPM_ROLE_SOLE || (ours && st->echoes)) { /* marked echoes do not come here: another has our address */
+    if (st->config.role != DPM_ROLE_SOLE || (ours && st->echoes)) { /* no echo: those are marked */
         dpm_token_heard(st, sa, da, rx);
     } else if (ours) {
         st->statistics.stray++; /* heard back through a port that does not know its echo */
