@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from waiting import until
 
 from dpmaster import ConfigurationError, Master
 from dpmaster._core import block, ffi, lib
@@ -436,6 +437,21 @@ def test_a_port_that_was_killed_leaves_no_marks_to_the_next_program(wire: Wire) 
         heard += os.read(next_one, 512)
     os.close(next_one)
     assert heard == ALL
+
+
+def test_what_an_adapter_gathered_for_one_program_is_not_the_next_ones(wire: Wire, opened: Opener) -> None:
+    """Nor with the marks that only the first one knows."""
+    path = str(wire.segment.port())
+    first = opened(path)
+    wire.segment.faults(chunk=0.3)
+    wire.say(ALL[200:])
+    until(lambda: wire.segment.info.deliveries == 1)
+    lib.dpm_port_close(first.port)
+    next_one = os.open(path, os.O_RDWR | os.O_NOCTTY)
+    _ = wire.segment.info
+    wire.say(TOKEN)
+    assert select.select([next_one], [], [], 5)[0] and os.read(next_one, 512) == TOKEN
+    os.close(next_one)
 
 
 def test_a_pty_without_a_hub_is_read_as_it_is(opened: Opener) -> None:

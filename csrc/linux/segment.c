@@ -103,6 +103,7 @@ static void close_port(struct hub_port *port)
  * since the slave end stays open. */
 static void vacate(struct hub_port *port)
 {
+    port->held = 0;
     (void)ioctl(port->slave, TIOCNXCL);
     (void)tcflush(port->slave, TCIFLUSH);
     (void)make_raw(port->slave);
