@@ -207,7 +207,8 @@ class Host(ABC):
         self._lock = threading.RLock()  # held while a card steps: attach, reset and steps take turns
         self._slots: list[Slot] = []
         self._failures: list[BaseException] = []
-        self._closed = False
+        self._closed = False  # or about to be
+        self._ended = False
         self._thread: threading.Thread | None = None
         self._opened: Any = (None,)  # where the library's open call puts its object
 
@@ -392,23 +393,24 @@ class Host(ABC):
 
     def close(self) -> None:
         """End the applications and the bus side; idempotent. Raises DPError when a card failed while it was open."""
-        if self._closed or not self._process.here:
+        if self._ended or not self._process.here:
             return
         self._end()
+        self._ended = True
         for slot in self._slots:
             slot.card.detached()
         self._raise_failure()
 
     def _end(self) -> None:
-        """As far as it has come: Ctrl-C may end the opening behind any call."""
+        """As far as it has come: Ctrl-C may end the opening behind any call, and this, which is then done again."""
         self._closed = True
-        atexit.unregister(self.close)
         if self._object:
             self._shut()
         if self._thread is not None and self._thread.ident and self._thread is not threading.current_thread():
             self._thread.join(JOIN)
             if self._thread.is_alive():
                 log.error("a card's step does not return; its thread is left behind")
+        atexit.unregister(self.close)
 
     def __enter__(self) -> Self:
         self._guard()

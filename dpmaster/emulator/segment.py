@@ -68,6 +68,7 @@ class Segment(Host):
     """
 
     _room = "dpm_segment"
+    _last: Any = None
 
     def __init__(self, baudrate: int | None = None, *, echo: bool = False, ports: int = 8, cards: int = 32,
                  nominal: int = NOMINAL, realtime: Realtime | bool | None = None) -> None:
@@ -102,7 +103,7 @@ class Segment(Host):
         return self._call("attach", config, outputs, inputs)
 
     def _shut(self) -> None:
-        self._last = self._info()
+        self._last = self._last or self._info()
         lib.dpm_segment_close(self._object)
 
     def attach(self, card: CardT) -> CardT:
@@ -180,7 +181,7 @@ class Segment(Host):
     def info(self) -> SegmentInfo:
         """The counters; those of the end after close()."""
         self._process.guard("this Segment")
-        info = self._last if self._closed else self._info()
+        info = self._last or self._info()
         return SegmentInfo(
             transmissions=info.transmissions, octets=info.octets, collisions=info.collisions, faults=info.faults,
             undelivered=info.undelivered, deliveries=info.deliveries, late_max=info.late_max / NS,
