@@ -145,9 +145,11 @@ def _shut(process: _core.Process, opened: Any, events: list[Events], kept: dict[
     `kept` is the memory that the thread uses: an argument outlives the thread, in whatever order a cycle is collected.
     """
     if process.here and opened[0]:
-        lib.dpm_bus_close(opened[0])
-        for each in events:
-            each.end()
+        try:
+            lib.dpm_bus_close(opened[0])
+        finally:
+            for each in events:
+                each.end()
 
 
 class Bus:
@@ -410,10 +412,12 @@ class Bus:
             return True
 
     def close(self) -> None:
-        """End the thread, close the port, wake every waiter with ClosedError. Idempotent, within a second."""
+        """End the thread, close the port, wake every waiter with ClosedError. Within a second; again, it does what Ctrl-C has
+        kept it from."""
         self.process.guard(f"the master on {self.path}")
         self.closed = True
-        finish = self._finish.detach()  # called as it is, it would do nothing once the interpreter has begun to end
+        finish = self._finish.peek()  # called as it is, it would do nothing once the interpreter has begun to end
         if finish is not None:
             _, shut, arguments, _ = finish
             shut(*arguments)
+            self._finish.detach()

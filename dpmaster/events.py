@@ -241,8 +241,8 @@ class Events:
 
     def _close_descriptor(self) -> None:
         if self._ended and not self._users and self._fd >= 0:
-            os.close(self._fd)
-            self._fd = -1
+            fd, self._fd = self._fd, -1  # first: after a Ctrl-C in between nobody closes what is another's by then
+            os.close(fd)
 
     def close(self) -> None:
         """End the subscription. Idempotent."""

@@ -16,8 +16,8 @@ import signal
 import threading
 import time
 import weakref
-from collections.abc import Mapping, MutableMapping
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping, MutableMapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -33,7 +33,7 @@ from dpmaster.parameters import TSL_MAX, BusParameters
 from dpmaster.realtime import Realtime
 from dpmaster.services import Answer, Service, Services
 from dpmaster.station import Station
-from dpmaster.timing import WATCHDOG_MAX, Slave, cycle, default_watchdog, tsl_needed
+from dpmaster.timing import DEFAULT_WATCHDOG_MAX, Slave, cycle, default_watchdog, tsl_needed
 
 __all__ = ["Answer", "Master", "MasterStatistics", "MasterStatus", "Mode", "Service"]
 
@@ -360,10 +360,23 @@ class Master(Services):
         config.auto_clear = self.auto_clear
         config.data_retries = -1 if self.data_retries is None else self.data_retries
         self._listen()
-        self._bus.start(config, self._room)
+        with self._known():
+            self._bus.start(config, self._room)
 
     def _enter(self, station: Station) -> None:
-        station._index = self._bus.add(station._settings(), station._outputs, station._image, station._memory)
+        with self._known():
+            station._index = self._bus.add(station._settings(), station._outputs, station._image, station._memory)
+
+    @contextmanager
+    def _known(self) -> Iterator[None]:
+        """What the bus thread has of us, we know: after Ctrl-C in here nobody would, and the master is closed."""
+        try:
+            yield
+        except Exception:
+            raise
+        except BaseException:
+            self.close()
+            raise
 
     def _listen(self) -> None:
         """Log what happens from a thread of its own, which keeps neither the master nor the interpreter alive."""
@@ -388,7 +401,7 @@ class Master(Services):
                           delivery=self._bus.late - self._bus.allowance, usual=self._choose(0).max_tsdr)
         seconds = default_watchdog(predicted)
         # Nobody knows who will share the bus, but only that they keep the token for Ttr together.
-        return min(seconds + self._parameters.seconds(self._parameters.ttr), WATCHDOG_MAX) if ring else seconds
+        return min(seconds + self._parameters.seconds(self._parameters.ttr), DEFAULT_WATCHDOG_MAX) if ring else seconds
 
     def _settle_watchdogs(self) -> None:
         """Ten cycles of the stations there are now; what changed goes out with a station's next Set_Prm."""
@@ -475,9 +488,11 @@ class Master(Services):
     def _rest_stations(self, held: ExitStack) -> None:
         """"Clear alone is not stillness": each drive says its stop word first, and no other thread a word behind it; none can
         keep the master from leaving."""
-        deadline = time.monotonic() + REST_TIME
+        deadline = time.monotonic() + REST_TIME + (self.cycle_time or 0)
         for station in self.stations:
-            held.enter_context(station._commands)
+            # Who has it for longer is stopping the station, too, or hangs.
+            if station._commands.acquire(timeout=max(0.0, deadline - time.monotonic())):
+                held.callback(station._commands.release)
             if time.monotonic() <= deadline:
                 self._rest(station)
             elif station.state == StationState.DATA:
@@ -667,15 +682,15 @@ class Master(Services):
     def close(self) -> None:
         """Leave the bus: stop words, Clear, unlock, silence; then end the thread and close the port.
 
-        Idempotent, from any thread, within 3 s whatever the bus does; wakes everybody who waits with ClosedError. It runs by
-        itself when the interpreter ends. Ctrl-C meanwhile skips stop words that are not said yet, never Clear and unlock.
+        Idempotent, from any thread, within 3 s and two cycle times whatever the bus does; wakes everybody who waits with
+        ClosedError. It runs by itself when the interpreter ends. Ctrl-C meanwhile skips stop words that are not said yet, never
+        Clear and unlock.
         """
         self._bus.process.guard(f"the master on {self._bus.path}")
         with self._closing:
-            if self._bus.closed:
-                return
             try:
-                self.offline()
+                if not self._bus.closed:
+                    self.offline()
             except DPError as error:
                 self._log.warning("leaving the bus: %s", error)
             finally:

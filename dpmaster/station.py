@@ -304,6 +304,11 @@ class Station:
         return self._master
 
     @property
+    def _pace(self) -> float:
+        """s that a fixed cycle time keeps its turn waiting, at most."""
+        return (self._master.cycle_time if self._master is not None else None) or 0.0
+
+    @property
     def frame(self) -> Frame:
         """The newest inputs with cycle, time and validity. Never waits."""
         self._owner()
@@ -448,7 +453,7 @@ class Station:
                 return
             master._bus.activate(self._index, False)
         # Its turn to be released comes with the next cycle.
-        within = None if timeout is None else timeout + (master.cycle_time or 0)
+        within = None if timeout is None else timeout + self._pace
         if master._bus.wait(lambda: True if self.state == StationState.INACTIVE else None, within) is None:
             raise DPTimeout(f"{self.name} was not released in {within} s; {self._standing(master)}")
         master._settle_watchdogs()

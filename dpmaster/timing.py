@@ -26,7 +26,7 @@ __all__ = ["Cycle", "Finding", "Part", "Slave", "Timing", "cycle", "default_watc
 TSL_MARGIN = 15  # Tbit: "Tsl >= max Tsdr + 15"
 MAX_TSDR_MAX, TTR_MAX = 1_023, 16_777_960  # Tbit
 WATCHDOG_CYCLES = 10  # "ten predicted cycles with retries, at least 100 ms, at most 1 s"
-WATCHDOG_MIN, WATCHDOG_MAX = 0.1, 1.0
+DEFAULT_WATCHDOG_MIN, DEFAULT_WATCHDOG_MAX = 0.1, 1.0
 TOOL_WATCHDOG = 6_250  # Tbit for each address up to HSA: below it engineering tools do not go
 PROPAGATION = Fraction(5, 10**9)  # s for each metre of copper or fibre
 REPEATER_DELAY = 9
@@ -216,15 +216,15 @@ def cycle(parameters: BusParameters, slaves: Sequence[Slave], *, allowance: floa
 def default_watchdog(cycle: Cycle) -> float:
     """s: ten cycles, 0.1 to 1. Raises ConfigurationError when they need more."""
     seconds = _generous(cycle)
-    if seconds > WATCHDOG_MAX:
-        raise ConfigurationError(f"ten predicted cycles take {seconds:.2f} s, more than the {WATCHDOG_MAX:g} s of the "
+    if seconds > DEFAULT_WATCHDOG_MAX:
+        raise ConfigurationError(f"ten predicted cycles take {seconds:.2f} s, more than the {DEFAULT_WATCHDOG_MAX:g} s of the "
                                  f"default watchdog: give each station its own, watchdog={math.ceil(seconds * 10) / 10} "
                                  "or more")
     return seconds
 
 
 def _generous(cycle: Cycle) -> float:
-    return max(WATCHDOG_CYCLES * cycle.watched, WATCHDOG_MIN)
+    return max(WATCHDOG_CYCLES * cycle.watched, DEFAULT_WATCHDOG_MIN)
 
 
 def slowest(slaves: Iterable[Slave], rate: Fraction) -> int:

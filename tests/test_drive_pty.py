@@ -93,6 +93,17 @@ def test_leaving_says_the_stop_word_to_each_of_them(bus: Bus) -> None:
     assert said == dict.fromkeys(bus.drives, True)
 
 
+def test_a_drive_on_a_slow_cycle_is_given_its_stop_word(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    monkeypatch.setattr("dpmaster.drives.drive.REST", 0.2)
+    with Segment(cards=1) as wire, Master(wire.port(), cycle_time=0.3) as master:
+        wire.attach(SIP1(5))
+        drive = master.add(YaskawaV7(5, watchdog=10.0))
+        master.operate(PATIENCE)
+        drive.wait_sent(drive.update(0, bytes(2)), PATIENCE)  # the next exchange is a cycle away
+        master.clear()
+    assert "stop word" not in caplog.text
+
+
 @pytest.mark.parametrize("bus", [(0.02,)], indirect=True)  # a lost answer shall cost no more
 def test_ten_parameters_at_once_on_a_busy_bus_under_faults(bus: Bus, caplog: pytest.LogCaptureFixture) -> None:
     """Ten threads on each of three channels, one of each kind; telegrams are lost, octets are flipped, and one

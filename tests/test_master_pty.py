@@ -21,7 +21,8 @@ from contextlib import suppress
 from typing import Any
 
 import pytest
-from waiting import until
+from interrupting import interrupted
+from waiting import PATIENCE, until
 
 from dpmaster import (
     ClosedError,
@@ -438,25 +439,6 @@ def test_a_signals_handler_may_do_what_it_interrupted(running: Station, call: Ca
     assert done.wait(5)
 
 
-def interrupted(call: Callable[[], object], at: int) -> bool:
-    """Make the call, with Ctrl-C the `at`-th time that Python looks for a signal in this package: whether it came so far."""
-    left = at
-
-    def look(frame: Any, event: str, _: object) -> None:
-        nonlocal left
-        if event in ("call", "c_return") and "dpmaster" in frame.f_code.co_filename:
-            left -= 1
-            if not left:
-                sys.setprofile(None)
-                raise KeyboardInterrupt
-
-    sys.setprofile(look)
-    with suppress(KeyboardInterrupt):
-        call()
-    sys.setprofile(None)
-    return left <= 0
-
-
 def test_ctrl_c_at_any_moment_takes_a_request_back(master: Master, running: Station, monkeypatch: pytest.MonkeyPatch) -> None:
     """What the bus thread still knew would be written to when nobody keeps it any more."""
     asked: list[Any] = []
@@ -480,6 +462,33 @@ def test_ctrl_c_at_any_moment_takes_a_global_control_back(master: Master, runnin
         lib.dpm_bus_revoke(bus, control)
         at += 1
     assert at > 20
+
+
+def test_ctrl_c_at_any_moment_of_the_start_leaves_a_master_that_goes_on_or_is_closed(wire: Segment, card: Echo) -> None:
+    """Behind a call that gave the bus thread something, nobody knows what it has."""
+    port, at, came = wire.port(), 1, True
+    while came:
+        with Master(port) as master:
+            station = master.add(Station(5, IDENT, CONFIGURATION))
+            came = interrupted(master.stop, at)
+            if not master.closed:
+                master.stop()
+                assert station.state == StationState.OFFLINE and station._index == 0, f"look {at}"
+        at += 1
+    assert at > 100
+
+
+def test_closing_again_does_what_ctrl_c_has_kept_it_from(wire: Segment) -> None:
+    port, at, came = wire.port(), 1, True
+    while came:
+        master = Master(port)  # which the one before has left
+        master.stop()
+        events = master.events()
+        came = interrupted(master.close, at)
+        master.close()
+        assert events.closed and master._logger is not None and not master._logger.is_alive(), f"look {at}"
+        at += 1
+    assert at > 50
 
 
 # ---- leaving
@@ -528,6 +537,30 @@ def test_no_other_thread_commits_between_the_stop_word_and_clear(master: Master,
     getattr(master if hasattr(master, way) else drive, way)()
     thread.join()
     assert card.written == [b"RUN!", b"STOP"]
+
+
+def test_a_thread_that_hangs_with_a_station_in_hand_keeps_nobody_from_leaving(master: Master, card: Echo,
+                                                                              monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dpmaster.master.REST_TIME", 0.1)
+    drive = master.add(Drive())
+    master.operate()
+    drive.wait_sent(drive.update(0, b"RUN!"))
+    held, over = threading.Event(), threading.Event()
+
+    def hang() -> None:
+        with drive._commands:
+            held.set()
+            over.wait(PATIENCE)
+
+    thread = threading.Thread(target=hang)
+    thread.start()
+    held.wait()
+    master.clear()
+    assert thread.is_alive()
+    over.set()
+    thread.join()
+    until(lambda: not card.seen[-1][1])  # Clear all the same
+    assert drive.rested == []
 
 
 class Slow:

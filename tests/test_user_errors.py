@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from interrupting import Behind, interrupted
 
 from dpmaster import (
     ClosedError,
@@ -34,7 +35,6 @@ from dpmaster import (
     Station,
     StationState,
 )
-from dpmaster._core import lib
 from dpmaster.drives import YaskawaV7
 from dpmaster.emulator import Line, Segment
 from dpmaster.emulator.cards import SIP1
@@ -367,40 +367,42 @@ def test_two_objects_on_one_wire_that_are_both_masters(wire: Segment, drive: Yas
 
 
 def test_ctrl_c_while_a_port_is_opened_leaves_it_to_the_next(wire: Segment, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Python raises it when the call has returned, with the port open."""
-    class Interrupted:
-        def __getattr__(self, name: str) -> Any:
-            return getattr(lib, name)
-
-        def dpm_bus_open(self, *arguments: Any) -> int:
-            assert lib.dpm_bus_open(*arguments) == 0
-            raise KeyboardInterrupt
-
     path = wire.port()
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr("dpmaster.bus.lib", Interrupted())
+        patch.setattr("dpmaster.bus.lib", Behind("dpm_bus_open"))
         Master(path)
     gc.collect()
     Master(path).close()
 
 
+def test_ctrl_c_while_a_port_is_closed_ends_the_subscriptions_all_the_same(wire: Segment,
+                                                                           monkeypatch: pytest.MonkeyPatch) -> None:
+    """A thread that waits for events would keep the interpreter from ending."""
+    master = Master(wire.port())
+    events = master.events()
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr("dpmaster.bus.lib", Behind("dpm_bus_close"))
+        master.close()
+    assert events.closed
+    master.close()
+
+
+def test_closing_a_wire_again_does_what_ctrl_c_has_kept_it_from() -> None:
+    before, at, came = left(), 1, True
+    while came:
+        wire = Segment(ports=1)
+        came = interrupted(wire.close, at)
+        wire.close()
+        assert left()[0] == before[0] and wire.info.transmissions == 0, f"look {at}"
+        at += 1
+    assert at > 10
+
+
 @pytest.mark.parametrize("step", ["open", "start", "realtime"])
 def test_ctrl_c_while_a_wire_is_opened_leaves_nothing(step: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Interrupted:
-        def __getattr__(self, name: str) -> Any:
-            function = getattr(lib, name)
-            if name != f"dpm_segment_{step}":
-                return function
-
-            def interrupted(*arguments: Any) -> int:
-                assert function(*arguments) == 0
-                raise KeyboardInterrupt
-
-            return interrupted
-
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         for room in "segment", "host":
-            patch.setattr(f"dpmaster.emulator.{room}.lib", Interrupted())
+            patch.setattr(f"dpmaster.emulator.{room}.lib", Behind(f"dpm_segment_{step}"))
         Segment(realtime=Realtime(lock=False))
 
 

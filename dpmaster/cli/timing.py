@@ -21,7 +21,7 @@ from dpmaster.cli._master import milliseconds
 from dpmaster.drives import PROFILES as DRIVES
 from dpmaster.errors import ConfigurationError
 from dpmaster.station import watchdog_factors
-from dpmaster.timing import PROFILES, REPEATER_DELAY, TOOL_WATCHDOG, WATCHDOG_MAX, Finding, Part, Slave, Timing, plan
+from dpmaster.timing import DEFAULT_WATCHDOG_MAX, PROFILES, REPEATER_DELAY, TOOL_WATCHDOG, Finding, Part, Slave, Timing, plan
 
 NAME = "timing"
 HELP = "compute bus parameters, cycle time and watchdogs, and say what will not work"
@@ -219,7 +219,7 @@ def _watchdogs(t: Timing) -> Iterator[str]:
     yield "Slave watchdog"
     yield _row(f"default: ten cycles of {shown(t.cycle.watched)}, at least 100 ms", t.watchdog * float(p.rate), t.watchdog)
     yield "    these cycles: one slave repeated to the limit, the host late once"
-    if t.watchdog <= WATCHDOG_MAX:
+    if t.watchdog <= DEFAULT_WATCHDOG_MAX:
         first, second = watchdog_factors(t.watchdog)
         yield f"    in Set_Prm WD_Fact_1 {first}, WD_Fact_2 {second}: {first * second * 10} ms"
     tools = TOOL_WATCHDOG * p.hsa

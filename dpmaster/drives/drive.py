@@ -29,7 +29,7 @@ log = logging.getLogger(__name__)
 SETTLE = 0.020
 """Seconds that a drive may take to look at a new command: what its status says until then may be about the one before."""
 REST = 0.5
-"""Seconds in which the stop word must have been answered when the master leaves Operate."""
+"""Seconds, and a fixed cycle time, in which the stop word must have been answered when the master leaves Operate."""
 HEAR = 0.5
 """Seconds in which a drive that listens shows that it runs."""
 RESET = 1.0
@@ -429,7 +429,7 @@ class Drive(Station, ABC, Generic[S]):
         """Before the master leaves Operate: the stop word, seen to be answered. "Clear alone is not stillness"."""
         with self._commands:
             self._pending = number = self._commit_stop()
-        self.wait_sent(number, REST)
+        self.wait_sent(number, REST + self._pace)
 
 
 class Terminals(MutableMapping[str, bool]):
