@@ -93,7 +93,8 @@ def test_leaving_says_the_stop_word_to_each_of_them(bus: Bus) -> None:
     assert said == dict.fromkeys(bus.drives, True)
 
 
-def test_a_drive_on_a_slow_cycle_is_given_its_stop_word(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_drive_on_a_slow_cycle_is_given_its_stop_word(monkeypatch: pytest.MonkeyPatch,
+                                                        caplog: pytest.LogCaptureFixture) -> None:
     monkeypatch.setattr("dpmaster.drives.drive.REST", 0.2)
     with Segment(cards=1) as wire, Master(wire.port(), cycle_time=0.3) as master:
         wire.attach(SIP1(5))

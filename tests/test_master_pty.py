@@ -17,7 +17,7 @@ import threading
 import time
 import weakref
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import pytest
@@ -91,8 +91,8 @@ class Drive(Station):
         self.rested.append(threading.current_thread().name)
         if self.fail:
             raise RuntimeError("no stop word today")
-        self.wait_sent(self.update(0, b"STOP"), timeout=0.5)
-        self.wait(lambda frame: frame.octets == b"STOP", timeout=0.5)  # the card's application has seen it, before Clear comes
+        self.wait_sent(self.update(0, b"STOP"), PATIENCE)
+        self.wait(lambda frame: frame.octets == b"STOP", PATIENCE)  # the card's application has seen it, before Clear comes
 
     def _before_operate(self) -> list[str]:
         return ["is set to hold its reference when the bus is lost"]
@@ -277,12 +277,18 @@ def test_diagnosis_is_fetched_when_the_station_announces_it(wire: Segment, runni
 # ---- the output watchdog
 
 
+@contextmanager
+def watched(wire: Segment, output_watchdog: float) -> Iterator[Station]:
+    with Master(wire.port(), output_watchdog=output_watchdog) as master:
+        station = master.add(Station(5, IDENT, CONFIGURATION))
+        master.operate()
+        yield station
+
+
 @pytest.fixture
 def brief(wire: Segment, card: Echo) -> Iterator[Station]:
     """A running station of a master whose output watchdog is short."""
-    with Master(wire.port(), output_watchdog=0.15) as master:
-        station = master.add(Station(5, IDENT, CONFIGURATION))
-        master.operate()
+    with watched(wire, 0.15) as station:
         yield station
 
 
@@ -314,21 +320,30 @@ def outlasts(master: Master) -> float:
 
 
 @pytest.mark.parametrize("kind", ["cycles", "wait", "commit", "feed"])
-def test_what_feeds_the_output_watchdog(brief: Station, kind: str) -> None:
-    master = master_of(brief)
-    brief.outputs = b"run!"
+def test_what_feeds_the_output_watchdog(wire: Segment, card: Echo, kind: str) -> None:
+    for seconds in (0.15, 0.5, 2.0):  # longer on a computer that was away for the time before
+        with watched(wire, seconds) as station:
+            feed_long(station, kind)
+            if master_of(station).mode == Mode.OPERATE:
+                return
+    raise AssertionError("it ran out in each attempt")
+
+
+def feed_long(station: Station, kind: str) -> None:
+    master = master_of(station)
+    station.outputs = b"run!"
     end = outlasts(master)
-    while (left := end - time.monotonic()) > 0:
+    while (left := end - time.monotonic()) > 0 and master.mode == Mode.OPERATE:
         if kind == "cycles":
             master.wait_cycle()
         elif kind == "wait":
             with pytest.raises(DPTimeout):
-                brief.wait(lambda frame: False, left)
+                station.wait(lambda frame: False, left)
         elif kind == "commit":
-            brief.update(0, b"r")
+            with suppress(NotOperatingError):  # it ran out just now
+                station.update(0, b"r")
         else:
             master.feed()
-    assert master.mode == Mode.OPERATE
 
 
 @pytest.mark.parametrize("kind", ["reads", "events", "another thread"])
@@ -495,19 +510,25 @@ def test_closing_again_does_what_ctrl_c_has_kept_it_from(wire: Segment) -> None:
 
 
 @pytest.mark.parametrize("way", ["clear", "stop", "offline", "close"])
-def test_the_stop_word_comes_before_clear(master: Master, card: Echo, way: str) -> None:
-    drive = master.add(Drive())
-    master.operate()
-    drive.outputs = b"RUN!"
-    drive.wait_sent(1)
-    getattr(master, way)()
-    until(lambda: not card.seen[-1][1] or way != "clear")
-    assert card.written == [b"RUN!", b"STOP"]
-    assert len(drive.rested) == 1
-    if way != "close":
-        assert master.mode == {"clear": Mode.CLEAR, "stop": Mode.STOP, "offline": Mode.OFFLINE}[way]
-        getattr(master, way)()
-        assert len(drive.rested) == 1
+def test_the_stop_word_comes_before_clear(wire: Segment, card: Echo, way: str) -> None:
+    for _ in range(3):  # a busy computer may lose the station, and with it what was committed
+        card.seen.clear()
+        with Master(wire.port()) as master:
+            drive = master.add(Drive())
+            master.operate()
+            drive.outputs = b"RUN!"
+            with suppress(DPTimeout):
+                drive.wait(lambda frame: frame.octets == b"RUN!", 2.0)  # the card's application has seen it
+            getattr(master, way)()
+            assert len(drive.rested) == 1
+            if way != "close":
+                assert master.mode == {"clear": Mode.CLEAR, "stop": Mode.STOP, "offline": Mode.OFFLINE}[way]
+                getattr(master, way)()
+                assert len(drive.rested) == 1
+        until(lambda: not card.seen[-1][1] or way != "clear")
+        if card.written == [b"RUN!", b"STOP"]:
+            return
+    raise AssertionError(f"in each attempt, the last: {card.written}")
 
 
 @pytest.mark.parametrize("way", ["clear", "close", "deactivate", "reparameterise"])
@@ -519,8 +540,11 @@ def test_no_other_thread_commits_between_the_stop_word_and_clear(master: Master,
 
     def jog() -> None:
         with suppress(ClosedError):
-            while not left.is_set():
-                drive.outputs = b"RUN!"
+            while True:
+                with drive._commands:
+                    if left.is_set():
+                        return  # behind the way back a commit would be one of after it
+                    drive.outputs = b"RUN!"
 
     thread = threading.Thread(target=jog)
     thread.start()
@@ -841,9 +865,11 @@ def test_the_log_tells_two_troubles_that_take_turns_once_each(wire: Segment, mas
 def test_an_error_names_a_few_of_many_missing_stations(wire: Segment, master: Master, card: Echo) -> None:
     for address in range(2, 62):
         master.add(Station(address, IDENT, CONFIGURATION if address != 5 else b"\x31"))
+    master.clear()
+    until(lambda: "Cfg_Fault" in master[5].reason)
     with pytest.raises(StationError, match=r"60 of 60 stations.*: station 5 .*Cfg_Fault.*; and the stations at 10, 11,.*, 61"
                        ) as caught:
-        master.operate(timeout=1.0)
+        master.operate(timeout=0.1)
     assert str(caught.value).count("(address ") == 8
 
 

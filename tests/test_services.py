@@ -514,8 +514,7 @@ def test_a_second_ctrl_c_skips_the_stop_word_but_not_clear_and_unlock(wire: Segm
         assert child.stdout.readline() == line
         child.send_signal(2)
     child.communicate(timeout=20)
-    report = wire.report(cards[0])
-    assert (report.state, report.master) == (SlaveState.WAIT_PRM, None)
+    until(lambda: (wire.report(cards[0]).state, wire.report(cards[0]).master) == (SlaveState.WAIT_PRM, None))
 
 
 def test_a_master_nobody_keeps_unlocks_its_stations(wire: Segment, cards: list[Echo]) -> None:
