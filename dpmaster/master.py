@@ -16,7 +16,7 @@ import signal
 import threading
 import time
 import weakref
-from collections.abc import Iterator, Mapping, MutableMapping
+from collections.abc import Callable, Iterator, Mapping, MutableMapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -45,7 +45,7 @@ S = TypeVar("S", bound=Station)
 log = logging.getLogger(__name__)
 Log = logging.LoggerAdapter[logging.Logger]
 
-REST_TIME = 1.0  # s for the stop words of all drives together, once no more are begun
+REST_TIME = 1.0  # s, and a cycle time, after which no more stop words are waited for
 TOLD = 8  # stations whose reasons an error of operate() gives; of more only the addresses
 LEAVE_TIME = 1.0  # s for Clear, unlock and the last telegram
 
@@ -360,16 +360,16 @@ class Master(Services):
         config.auto_clear = self.auto_clear
         config.data_retries = -1 if self.data_retries is None else self.data_retries
         self._listen()
-        with self._known():
+        with self._giving():
             self._bus.start(config, self._room)
 
     def _enter(self, station: Station) -> None:
-        with self._known():
+        with self._giving():
             station._index = self._bus.add(station._settings(), station._outputs, station._image, station._memory)
 
     @contextmanager
-    def _known(self) -> Iterator[None]:
-        """What the bus thread has of us, we know: after Ctrl-C in here nobody would, and the master is closed."""
+    def _giving(self) -> Iterator[None]:
+        """To the bus thread: behind a Ctrl-C in here nobody knows what it has, and the master is closed."""
         try:
             yield
         except Exception:
@@ -488,21 +488,25 @@ class Master(Services):
     def _rest_stations(self, held: ExitStack) -> None:
         """"Clear alone is not stillness": each drive says its stop word first, and no other thread a word behind it; none can
         keep the master from leaving."""
+        stations = self.stations
         deadline = time.monotonic() + REST_TIME + (self.cycle_time or 0)
-        for station in self.stations:
+        for station in stations:
             # Who has it for longer is stopping the station, too, or hangs.
             if station._commands.acquire(timeout=max(0.0, deadline - time.monotonic())):
                 held.callback(station._commands.release)
+                self._rest(station, station._stop_word)
+        for station in stations:
             if time.monotonic() <= deadline:
-                self._rest(station)
+                self._rest(station, station._rest)
             elif station.state == StationState.DATA:
-                self._log.error("%s: no time left for its stop word, it goes to Clear as it is", station.name)
+                self._log.error("%s: no time left to see its stop word answered, it goes to Clear as it is", station.name)
 
-    def _rest(self, station: Station) -> None:
+    def _rest(self, station: Station, *hooks: Callable[[], None]) -> None:
         if self.mode != Mode.OPERATE or station.state != StationState.DATA:
             return
         try:
-            station._rest()
+            for hook in hooks:
+                hook()
         except Exception:
             self._log.exception("%s: its stop word was not answered", station.name)
 

@@ -288,8 +288,11 @@ class Station:
     def _operating(self) -> None:
         """Hook: the master has reached Operate. A drive asks, bounded, for what a person should know of it, and logs that."""
 
+    def _stop_word(self) -> None:
+        """Hook: the master is about to leave Operate. A drive commits its stop word: those of all go out in one cycle."""
+
     def _rest(self) -> None:
-        """Hook: the master is about to leave Operate. A drive commits its stop word and waits, bounded, until it was answered.
+        """Hook: all stations have said their `_stop_word`. A drive waits, bounded, until its own was answered.
 
         Other threads' commits to the station wait from here on until Clear is ordered. What it raises is logged and stops
         nothing. It runs only while the station is in Data_Exchange.
@@ -447,7 +450,7 @@ class Station:
         master = self._owner()
         _arguments.timeout(timeout)
         with self._commands:
-            master._rest(self)
+            master._rest(self, self._stop_word, self._rest)
             self._active = False
             if self._index is None:
                 return
@@ -475,7 +478,7 @@ class Station:
         waits = self.state == StationState.DATA
         master._settle_watchdogs()
         with self._commands:
-            master._rest(self)
+            master._rest(self, self._stop_word, self._rest)
             master._bus.change(self._index, self._settings())
             master._bus.new_prm(self._index)
         if waits:

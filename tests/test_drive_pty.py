@@ -93,6 +93,16 @@ def test_leaving_says_the_stop_word_to_each_of_them(bus: Bus) -> None:
     assert said == dict.fromkeys(bus.drives, True)
 
 
+def test_the_stop_words_of_many_drives_go_out_in_one_cycle(caplog: pytest.LogCaptureFixture) -> None:
+    with Segment(cards=20) as wire, Master(wire.port(), cycle_time=0.1) as master:
+        for address in range(10, 30):
+            wire.attach(SIP1(address))
+            master.add(YaskawaV7(address, watchdog=10.0))
+        master.operate(PATIENCE)
+        master.clear()
+    assert "stop word" not in caplog.text
+
+
 def test_a_drive_on_a_slow_cycle_is_given_its_stop_word(monkeypatch: pytest.MonkeyPatch,
                                                         caplog: pytest.LogCaptureFixture) -> None:
     monkeypatch.setattr("dpmaster.drives.drive.REST", 0.2)

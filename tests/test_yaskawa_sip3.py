@@ -518,10 +518,12 @@ def test_rest_ramps_down_and_sees_it_answered() -> None:
     drive = bench("PPO Type 2")
     drive.run(24.0)
     drive.wait_at_speed(20.0)
+    drive._stop_word()
     drive._rest()
     assert drive.trace[-1][0][8:10].hex() == "0408" and drive.card.running
     drive.answering = False
     start = drive.now
+    drive._stop_word()
     with pytest.raises(DPTimeout):
         drive._rest()
     assert drive.now - start == pytest.approx(0.5, abs=0.01)

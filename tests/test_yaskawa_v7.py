@@ -506,10 +506,12 @@ def test_rest_sends_the_stop_word_and_sees_it_answered() -> None:
     drive = bench()
     drive.run_forward(10.0)
     drive.let_pass(0.1)
+    drive._stop_word()
     drive._rest()
     assert drive.trace[-1][0][0:4].hex() == "000003e8"
     drive.answering = False
     start = drive.now
+    drive._stop_word()
     with pytest.raises(DPTimeout):
         drive._rest()
     assert drive.now - start == pytest.approx(0.5, abs=0.01)

@@ -425,11 +425,15 @@ class Drive(Station, ABC, Generic[S]):
 
     # -- Hooks of the master --------------------------------------------------------------------------------------------
 
+    def _stop_word(self) -> None:
+        """Before the master leaves Operate: "Clear alone is not stillness"."""
+        self.stop()
+
     def _rest(self) -> None:
-        """Before the master leaves Operate: the stop word, seen to be answered. "Clear alone is not stillness"."""
-        with self._commands:
-            self._pending = number = self._commit_stop()
-        self.wait_sent(number, REST + self._pace)
+        """See the stop word answered."""
+        number = self._pending
+        if number is not None:
+            self.wait_sent(number, REST + self._pace)
 
 
 class Terminals(MutableMapping[str, bool]):
