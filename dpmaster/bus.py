@@ -172,6 +172,8 @@ class Bus:
         self._events: list[Events] = []
         self._kept: dict[int, Any] = {}
         self._starting = threading.RLock()
+        self._ordering = threading.RLock()
+        self._leaving = False
         opened = ffi.new("dpm_bus **")  # has its finaliser first: a Ctrl-C while the port is opened is raised behind that call
         self._finish = weakref.finalize(self, _shut, self.process, opened, self._events, self._kept)
         self._finish.atexit = False  # a Master that still lives says its stop words first
@@ -271,9 +273,17 @@ class Bus:
         self._call(lib.dpm_bus_remove(self._handle, index), "remove the station")
         self._kept.pop(id(memory), None)
 
+    def leave(self) -> None:
+        """From here on there is no mode but Offline: nobody brings back what close() has brought to rest."""
+        with self._ordering:
+            self._leaving = True
+
     def set_mode(self, mode: Mode) -> None:
-        self.guard()
-        self._call(lib.dpm_bus_set_mode(self._handle, mode), f"go to {mode.name.title()}")
+        with self._ordering:
+            self.guard()
+            if self._leaving and mode is not Mode.OFFLINE:
+                raise ClosedError(f"the master on {self.path} is being closed: open a new one", dpm_code=lib.DPM_E_CLOSED)
+            self._call(lib.dpm_bus_set_mode(self._handle, mode), f"go to {mode.name.title()}")
 
     def status(self) -> Any:
         """A ``dpm_master_status``."""

@@ -694,6 +694,7 @@ class Master(Services):
         with self._closing:
             try:
                 if not self._bus.closed:
+                    self._bus.leave()
                     self.offline()
             except DPError as error:
                 self._log.warning("leaving the bus: %s", error)

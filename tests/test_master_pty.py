@@ -563,6 +563,23 @@ def test_no_other_thread_commits_between_the_stop_word_and_clear(master: Master,
     assert card.written == [b"RUN!", b"STOP"]
 
 
+def test_nobody_operates_what_is_being_closed(master: Master, card: Echo, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else what runs would go to Clear without a second stop word."""
+    drive = master.add(Drive())
+    master.operate()
+    drive.wait_sent(drive.update(0, b"RUN!"))
+    await_mode = master._await_mode
+
+    def operate_meanwhile(mode: Mode, timeout: float) -> None:
+        with pytest.raises(ClosedError, match="is being closed"):
+            master.operate()
+        await_mode(mode, timeout)
+
+    monkeypatch.setattr(master, "_await_mode", operate_meanwhile)
+    master.close()
+    assert card.written == [b"RUN!", b"STOP"]
+
+
 def test_a_thread_that_hangs_with_a_station_in_hand_keeps_nobody_from_leaving(master: Master, card: Echo,
                                                                               monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("dpmaster.master.REST_TIME", 0.1)
