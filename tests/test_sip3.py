@@ -406,6 +406,11 @@ def test_table_12_extended_data_2() -> None:
     host.drive(0x0002, 12.00)
     host.after(6.0)
     assert host.word(2) == 1200 and host.word(0) & 0xFF == RUNNING | REVERSE | AGREE | READY
+    host.drive(0x0002, 0.0)  # table 11, bit 2: "during reverse run", at a standstill too
+    host.after(6.0)
+    assert host.word(0) & 0xFF == RUNNING | ZERO | REVERSE | AGREE | READY
+    host.drive(0x0000)
+    assert host.word(0) & 0xFF == ZERO | READY
     assert host.access("030200020000") == "030200020064"
 
 
@@ -460,6 +465,8 @@ def test_terminals_follow_the_bus_and_their_functions() -> None:
     host.put(10, 0x1111, 0x2222, 0x0005)
     assert host.card.outputs == {"M1-M2": True, "P1": False, "P2": True} and host.word(0) & 0x3800 == 0x2800
     assert host.card.analog_outputs == {"FM": 0x1111, "AM": None}
+    host.card.registers["H4-04"] = 0  # table 9, note 3: through mode
+    assert host.card.analog_outputs == {"FM": 0x1111, "AM": 0x2222}
     host.drive(0x0054)
     assert host.card.inputs == {"S3": True, "S4": False, "S5": True, "S6": False, "S7": True, "S8": False}
     assert host.card.fault == "EF3"  # H1-03 = 24: external fault
