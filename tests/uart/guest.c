@@ -150,6 +150,8 @@ static void on_sent(dpm_machine *machine, int64_t start, int64_t end_earliest, i
     w->end_latest = end_latest;
 }
 
+#define WITNESS {.machine = {.octets = on_octets, .quiet = on_quiet, .sent = on_sent}}
+
 static void listen_for(dpm_port *port, witness *w, size_t n)
 {
     int64_t end = dpm_now() + 5 * SECOND;
@@ -162,7 +164,7 @@ static void listen_for(dpm_port *port, witness *w, size_t n)
 /* Each octet there is: a driver that marks errors doubles a good FF. */
 static void try_octets(const char *path, uint32_t rate)
 {
-    witness w = {.machine = {.octets = on_octets, .quiet = on_quiet, .sent = on_sent}};
+    witness w = WITNESS;
     dpm_port *port;
     if (open_port(path, rate, DPM_DIRECTION_AUTO, &port))
         return;
@@ -177,7 +179,7 @@ static void try_octets(const char *path, uint32_t rate)
 
 static void try_break(const char *path, uint32_t rate)
 {
-    witness w = {.machine = {.octets = on_octets, .quiet = on_quiet, .sent = on_sent}};
+    witness w = WITNESS;
     dpm_port *port;
     if (open_port(path, rate, DPM_DIRECTION_AUTO, &port))
         return;
@@ -192,7 +194,7 @@ static void try_break(const char *path, uint32_t rate)
 /* Nobody has the address, so nobody answers. */
 static void try_end(const char *path, uint32_t rate)
 {
-    witness w = {.machine = {.octets = on_octets, .quiet = on_quiet, .sent = on_sent}};
+    witness w = WITNESS;
     uint8_t octets[10 * DPM_TELEGRAM_MAX];
     const uint8_t data[DPM_DATA_MAX] = {0};
     const dpm_telegram telegram = {.da = 120, .sa = 1, .fc = DPM_FC_REQUEST | DPM_SDN_LOW, .dsap = DPM_NO_SAP,
