@@ -279,8 +279,8 @@ class Bus:
             self._leaving = True
 
     def set_mode(self, mode: Mode) -> None:
+        self.guard()  # first: in a forked child a thread of the parent may have held the lock
         with self._ordering:
-            self.guard()
             if self._leaving and mode is not Mode.OFFLINE:
                 raise ClosedError(f"the master on {self.path} is being closed: open a new one", dpm_code=lib.DPM_E_CLOSED)
             self._call(lib.dpm_bus_set_mode(self._handle, mode), f"go to {mode.name.title()}")
