@@ -19,11 +19,12 @@ import time
 import tomllib
 import tty
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
+from children import child
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from waiting import until
@@ -426,17 +427,16 @@ def test_run_goes_on_when_the_port_comes_back(write: Callable[..., Path], tmp_pa
             link.unlink(missing_ok=True)
             link.symlink_to(segment.port())
             if not running:
-                running.append(subprocess.Popen(program, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True))
+                running.append(stack.enter_context(child(*program, stdout=subprocess.DEVNULL)))
             until(lambda valves=valves: valves.outputs == b"\x10")
 
     text = BUS[: BUS.index("[[station]]")] + BUS[BUS.index("[[station]]\naddress = 7") : BUS.index("[[station]]\naddress = 9")]
     path = write(text, 'port = "PORT"', f'port = "{link}"')
-    program = [sys.executable, "-m", "dpmaster", "run", str(path), "--set", "Valves.Drain=on"]
+    program = ["-m", "dpmaster", "run", str(path), "--set", "Valves.Drain=on"]
     running: list[subprocess.Popen[str]] = []
-    try:
+    with ExitStack() as stack:
         until_drained()
         until_drained()
-    finally:
         running[0].send_signal(signal.SIGINT)
         _, said = running[0].communicate(timeout=20)
     assert running[0].returncode == 0 and "Traceback" not in said
@@ -504,9 +504,7 @@ def test_check_only(write: Callable[..., Path], capsys: pytest.CaptureFixture[st
 
 
 def test_ctrl_c_ends_it_well(write: Callable[..., Path], wire: Segment) -> None:
-    program = [sys.executable, "-m", "dpmaster", "run", str(write()), "--port", wire.port(), "--json"]
-    with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as run:
-        assert run.stdout is not None and run.stderr is not None
+    with child("-m", "dpmaster", "run", str(write()), "--port", wire.port(), "--json") as run:
         run.stdout.readline()
         run.send_signal(2)
         assert run.wait(10) == 0

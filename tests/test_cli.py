@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from children import child
 
 import dpmaster
 from dpmaster import cli
@@ -132,11 +133,9 @@ def test_a_reader_that_leaves_is_no_traceback() -> None:
         "sys.modules[module.__name__] = module; cli.COMMANDS = ('attempt',);"
         "sys.exit(cli.main(['try']))"
     )
-    process = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-    assert process.stdout is not None and process.stderr is not None
-    process.stdout.close()
-    assert (process.wait(30), process.stderr.read()) == (1, b"")
-    process.stderr.close()
+    with child("-c", program) as process:
+        process.stdout.close()
+        assert (process.wait(30), process.stderr.read()) == (1, "")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

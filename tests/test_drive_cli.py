@@ -11,12 +11,11 @@ import pty
 import re
 import signal
 import struct
-import subprocess
-import sys
 import termios
 from collections.abc import Iterator
 
 import pytest
+from children import child
 from test_demo import read_until
 from test_safety import Witness
 
@@ -35,7 +34,7 @@ class Bench:
         self.arguments = ["drive", str(self.port), "--address", str(card.address), "--profile", profile, *options]
 
     def command(self, *action: str) -> list[str]:
-        return [sys.executable, "-m", "dpmaster", *self.arguments, *action]
+        return ["-m", "dpmaster", *self.arguments, *action]
 
     def main(self, *action: str) -> int:
         return main([*self.arguments, *action])
@@ -129,7 +128,7 @@ def test_a_signal_stops_the_drive_before_it_is_left(v7: Bench, number: signal.Si
     near, far = pty.openpty()
     fcntl.ioctl(far, termios.TIOCSWINSZ, struct.pack("4H", 24, 80, 0, 0))
     command = v7.command("--allowance", "100", "run", "--frequency", "30", *seconds)  # a busy computer shall not lose the drive
-    with subprocess.Popen(command, stdout=far, stderr=subprocess.PIPE) as process:
+    with child(*command, stdout=far, text=False) as process:
         os.close(far)
         try:
             text = read_until(near, r"30\.00 Hz .*at speed", PATIENCE)
@@ -137,17 +136,15 @@ def test_a_signal_stops_the_drive_before_it_is_left(v7: Bench, number: signal.Si
             text += read_until(near, r"stands +after", PATIENCE)
             assert process.wait(PATIENCE) == code
             assert max(len(line) for line in re.split(r"[\r\n]+", text)) < 80
-            assert process.stderr is not None and process.stderr.read() == b""
+            assert process.stderr.read() == b""
         finally:
-            process.kill()
             os.close(near)
     ends_well(v7)
 
 
 def test_a_second_ctrl_c_leaves_at_once_with_the_stop_word_said(v7: Bench) -> None:
     v7.card.registers["n020"] = 6000  # type: ignore[attr-defined]
-    with subprocess.Popen(v7.command("run", "--frequency", "30"), stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
-        assert process.stdout is not None
+    with child(*v7.command("run", "--frequency", "30"), text=False) as process:
         read_until(process.stdout.fileno(), r"at speed", PATIENCE)
         process.send_signal(signal.SIGINT)
         read_until(process.stdout.fileno(), r"the ramp down", PATIENCE)
@@ -164,8 +161,7 @@ def test_a_ramp_that_takes_too_long_is_told(v7: Bench, capsys: Capture) -> None:
 
 
 def test_a_fault_while_it_runs_ends_it(v7: Bench) -> None:
-    with subprocess.Popen(v7.command("run", "--frequency", "30"), stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
-        assert process.stdout is not None
+    with child(*v7.command("run", "--frequency", "30"), text=False) as process:
         read_until(process.stdout.fileno(), r"running", PATIENCE)
         v7.card.inject("F21")  # type: ignore[attr-defined]
         _, err = process.communicate(timeout=PATIENCE)

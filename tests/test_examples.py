@@ -11,9 +11,11 @@ import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
+from children import child
 from waiting import until
 
 from dpmaster.emulator import Segment
@@ -31,10 +33,9 @@ def wire() -> Iterator[Segment]:
         yield made
 
 
-def start(example: str, *arguments: str, **env: str) -> subprocess.Popen[str]:
+def start(example: str, *arguments: str, **env: str) -> AbstractContextManager[subprocess.Popen[str]]:
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(EXAMPLES.parent), *sys.path])} | env
-    return subprocess.Popen([sys.executable, str(EXAMPLES / example), *arguments], env=environment, stdout=subprocess.PIPE,
-                            stderr=subprocess.PIPE, text=True)
+    return child(str(EXAMPLES / example), *arguments, env=environment)
 
 
 def notices(manager: socket.socket, path: Path) -> Callable[[], str]:
@@ -45,8 +46,8 @@ def notices(manager: socket.socket, path: Path) -> Callable[[], str]:
 
 def test_the_hat(wire: Segment) -> None:
     card = wire.attach(SIP1(address=5))
-    program = start("hat.py", wire.port(), "500000", "5", "1.0")
-    out, error = program.communicate(timeout=60)
+    with start("hat.py", wire.port(), "500000", "5", "1.0") as program:
+        out, error = program.communicate(timeout=60)
     assert program.returncode == 0, error
     assert "exchanges" in out and " Hz" in out
     assert wire.report(card).exchanges > 20
@@ -57,17 +58,13 @@ def test_the_service_tells_systemd_and_leaves_the_drive_at_rest(wire: Segment, t
     card = wire.attach(SIP1(address=5))
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
         said = notices(manager, tmp_path / "notify")
-        program = start("service.py", wire.port(), NOTIFY_SOCKET=str(tmp_path / "notify"))
-        try:
+        with start("service.py", wire.port(), NOTIFY_SOCKET=str(tmp_path / "notify")) as program:
             assert said().startswith("READY=1\n")
             assert said().startswith("WATCHDOG=1\n")
             program.send_signal(signal.SIGTERM)
             while (words := said()) != "STOPPING=1":
                 assert words.startswith("WATCHDOG=1\n")
             _, error = program.communicate(timeout=60)
-        finally:
-            program.kill()
-            program.communicate()
     assert program.returncode == 0, error
     assert card.motor.frequency < 20 and not wire.failures
 
@@ -77,10 +74,10 @@ def test_a_service_whose_port_vanishes_ends_with_one_line(wire: Segment, tmp_pat
     card, port = wire.attach(SIP1(address=5)), wire.port()
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
         said = notices(manager, tmp_path / "notify")
-        program = start("service.py", port, NOTIFY_SOCKET=str(tmp_path / "notify"))
-        assert said().startswith("READY=1\n")
-        wire.pull_out(port)
-        _, error = program.communicate(timeout=60)
+        with start("service.py", port, NOTIFY_SOCKET=str(tmp_path / "notify")) as program:
+            assert said().startswith("READY=1\n")
+            wire.pull_out(port)
+            _, error = program.communicate(timeout=60)
     assert program.returncode == 1
     assert f"service.py: port {port}: the port vanished" in error and "Traceback" not in error
     until(lambda: wire.report(card).state != SlaveState.DATA_EXCH)
@@ -89,11 +86,11 @@ def test_a_service_whose_port_vanishes_ends_with_one_line(wire: Segment, tmp_pat
 def test_a_service_that_is_told_to_end_before_there_is_a_drive_ends(wire: Segment, tmp_path: Path) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
         said = notices(manager, tmp_path / "notify")
-        program = start("service.py", wire.port(), NOTIFY_SOCKET=str(tmp_path / "notify"))
-        until(lambda: wire.info.transmissions > 10)
-        program.send_signal(signal.SIGTERM)
-        assert said() == "STOPPING=1"
-        _, error = program.communicate(timeout=60)
+        with start("service.py", wire.port(), NOTIFY_SOCKET=str(tmp_path / "notify")) as program:
+            until(lambda: wire.info.transmissions > 10)
+            program.send_signal(signal.SIGTERM)
+            assert said() == "STOPPING=1"
+            _, error = program.communicate(timeout=60)
     assert (program.returncode, "Traceback" in error) == (0, False), error
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -18,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from children import child
 from gsd_files import NAMES
 from gsd_files import path as gsd_path
 from slave_rig import octets, telegram
@@ -348,6 +348,20 @@ def test_waits_end(wire: Segment) -> None:
     slave.ready = False  # nothing of it reaches anybody, nothing of it hurts
 
 
+def test_a_wait_comes_back_to_look_for_signals(wire: Segment, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C between Python's last look for one and the system call is seen with the next look."""
+    slave = wire.attach(GenericSlave(5, IDENT, b"\x33"))
+
+    def stay(seconds: float) -> None:
+        assert seconds <= 1
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(slave._changed, "wait", stay)
+    for timeout in (None, 60.0):
+        with pytest.raises(KeyboardInterrupt):
+            slave.wait(lambda s: False, timeout)
+
+
 # --- described by a GSD file
 
 ACME = """#Profibus_DP
@@ -460,44 +474,31 @@ def test_the_console_of_a_gsd_file(tmp_path: Path) -> None:
     file.write_text(ACME)
     arguments = [str(file), "--module", "1 word out", "2 bytes in", "--module", "Axis", "--address", "5", "--link", str(link),
                  "--input", "0=AB CD"]
-    with subprocess.Popen([sys.executable, "-m", "dpmaster", "emulate", "gsd", *arguments], stdin=subprocess.DEVNULL,
-                          stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, bufsize=1) as command:
-        try:
-            assert command.stdout and command.stderr
-            assert command.stdout.readline().rstrip() == os.readlink(link)
-            with Master(str(link), 500_000) as master:
-                one = master.add(Station.from_gsd(file, 5, ["1 word out", "2 bytes in", "Axis"]))
-                master.operate()
-                one.wait(lambda frame: frame.octets == octets("AB CD 00 00 00"), PATIENCE)
-                one["1 word out"].outputs = octets("12 34")
-                assert any(line == "outputs 12 34 00 00\n" for line in command.stdout)
-            command.send_signal(signal.SIGINT)
-            assert (command.wait(PATIENCE), command.stderr.read()) == (0, "")
-        finally:
-            command.kill()
+    with child("-m", "dpmaster", "emulate", "gsd", *arguments, stdin=subprocess.DEVNULL) as command:
+        assert command.stdout.readline().rstrip() == os.readlink(link)
+        with Master(str(link), 500_000) as master:
+            one = master.add(Station.from_gsd(file, 5, ["1 word out", "2 bytes in", "Axis"]))
+            master.operate()
+            one.wait(lambda frame: frame.octets == octets("AB CD 00 00 00"), PATIENCE)
+            one["1 word out"].outputs = octets("12 34")
+            assert any(line == "outputs 12 34 00 00\n" for line in command.stdout)
+        command.send_signal(signal.SIGINT)
+        assert (command.wait(PATIENCE), command.stderr.read()) == (0, "")
 
 
 def test_the_console(tmp_path: Path) -> None:
     link = tmp_path / "slave"
     arguments = ["--ident", "0A35", "--config", "33 00", "--config", "31", "--address", "5", "--link", str(link),
                  "--input", "2=AB", "--max-diagnosis", "32", "--habit", "wrong_length=ue"]
-    with subprocess.Popen([sys.executable, "-m", "dpmaster", "emulate", "generic", *arguments], stdin=subprocess.PIPE,
-                          stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, bufsize=1) as command:
-        try:
-            converse(command, link)
-        finally:
-            command.kill()
+    with child("-m", "dpmaster", "emulate", "generic", *arguments, stdin=subprocess.PIPE) as command:
+        converse(command, link)
 
 
-def converse(command: subprocess.Popen[str], link: Path) -> None:
-    assert command.stdin and command.stdout and command.stderr
-
+def converse(command: subprocess.Popen[Any], link: Path) -> None:
     def say(line: str) -> None:
-        assert command.stdin
-        command.stdin.write(line + "\n")
+        print(line, file=command.stdin, flush=True)
 
     def line_of(what: str) -> str:
-        assert command.stdout
         return next(line for line in command.stdout if what in line).rstrip()
 
     assert command.stdout.readline().rstrip() == os.readlink(link)

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
+from children import child
 
 from dpmaster.emulator import Segment
 from dpmaster.errors import ConfigurationError
@@ -37,11 +37,8 @@ def devices() -> list[Path]:
 
 
 def emulate(stack: ExitStack, path: Path, address: int, port: str) -> subprocess.Popen[str]:
-    program = [sys.executable, "-m", "dpmaster", "emulate", "gsd", str(path), "--address", str(address), "--on", port]
-    process = subprocess.Popen(program, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-    stack.enter_context(process)
-    stack.callback(process.terminate)
-    return process
+    return stack.enter_context(child("-m", "dpmaster", "emulate", "gsd", str(path), "--address", str(address), "--on", port,
+                                     stdin=subprocess.PIPE))
 
 
 @pytest.mark.skipif(not FOLDER.is_dir(), reason="the folder of real device files is not beside this tree")
@@ -54,15 +51,12 @@ def test_thirty_real_devices_exchange(tmp_path: Path) -> None:
         addresses = range(10, 10 + DEVICES)
         emulated = [emulate(stack, path, address, wire.port()) for path, address in zip(paths, addresses, strict=True)]
         for process in emulated:
-            assert process.stdout and process.stdout.readline(), "its path: it is on the wire"
+            assert process.stdout.readline(), "its path: it is on the wire"
         stations = "".join(f'[[station]]\naddress = {address}\ngsd = "{path}"\nwatchdog = "off"\n'
                            for path, address in zip(paths, addresses, strict=True))
         bus = tmp_path / "bus.toml"
         bus.write_text(f'[bus]\nport = "{wire.port()}"\n{stations}', encoding="utf-8")
-        run = subprocess.Popen([sys.executable, "-m", "dpmaster", "run", str(bus), "--json", "--seconds", str(PATIENCE)],
-                               stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        with run:
-            assert run.stdout and run.stderr
+        with child("-m", "dpmaster", "run", str(bus), "--json", "--seconds", str(PATIENCE)) as run:
             states = {}
             for line in run.stdout:
                 states = {s["address"]: (s["state"], s["reason"]) for s in json.loads(line)["stations"]}

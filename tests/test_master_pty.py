@@ -21,6 +21,7 @@ from contextlib import contextmanager, suppress
 from typing import Any
 
 import pytest
+from children import child
 from interrupting import interrupted
 from waiting import PATIENCE, until
 
@@ -743,25 +744,23 @@ print("runs", flush=True)
 """
 
 
-def program(wire: Segment, end: str) -> subprocess.Popen[str]:
-    child = subprocess.Popen([sys.executable, "-c", PROGRAM + end, wire.port()], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-                             text=True)
-    assert child.stdout is not None
-    assert child.stdout.readline() == "runs\n"
-    return child
+@contextmanager
+def running_program(wire: Segment, end: str) -> Iterator[subprocess.Popen[str]]:
+    with child("-c", PROGRAM + end, wire.port()) as program:
+        assert program.stdout.readline() == "runs\n"
+        yield program
 
 
 def test_a_program_that_just_ends_says_its_stop_word(wire: Segment, card: Echo) -> None:
-    child = program(wire, "")
-    assert child.communicate(timeout=20) == ("", "")
-    assert child.returncode == 0
+    with running_program(wire, "") as program:
+        assert program.communicate(timeout=20) == ("", "")
+        assert program.returncode == 0
     assert card.written == [b"RUN!", b"STOP"]
 
 
 def test_a_program_that_is_killed_leaves_it_to_the_slaves_watchdog(wire: Segment, card: Echo) -> None:
-    child = program(wire, "drive.wait(lambda frame: False, None)")
-    child.kill()
-    child.communicate(timeout=20)
+    with running_program(wire, "drive.wait(lambda frame: False, None)") as program:
+        program.kill()
     until(lambda: wire.report(card).watchdog_expired == 1)
     assert wire.report(card).state == SlaveState.WAIT_PRM
     assert card.written == [b"RUN!"]
@@ -769,17 +768,17 @@ def test_a_program_that_is_killed_leaves_it_to_the_slaves_watchdog(wire: Segment
 
 def test_a_program_that_was_stopped_for_a_while_does_not_run_on(wire: Segment, card: Echo) -> None:
     """SIGSTOP, the slave's watchdog, SIGCONT: outputs stay safe until a new command."""
-    child = program(wire, "drive.wait(lambda frame: False, None)")
-    os.kill(child.pid, signal.SIGSTOP)
-    until(lambda: wire.report(card).watchdog_expired == 1)
-    card.seen.clear()
-    os.kill(child.pid, signal.SIGCONT)
-    before = wire.report(card).exchanges
-    until(lambda: wire.report(card).exchanges > before + 20)
-    assert card.written == []
-    child.send_signal(signal.SIGINT)
-    child.communicate(timeout=20)
-    assert child.returncode != 0
+    with running_program(wire, "drive.wait(lambda frame: False, None)") as program:
+        program.send_signal(signal.SIGSTOP)
+        until(lambda: wire.report(card).watchdog_expired == 1)
+        card.seen.clear()
+        program.send_signal(signal.SIGCONT)
+        before = wire.report(card).exchanges
+        until(lambda: wire.report(card).exchanges > before + 20)
+        assert card.written == []
+        program.send_signal(signal.SIGINT)
+        program.communicate(timeout=20)
+        assert program.returncode != 0
 
 
 # ---- by hand

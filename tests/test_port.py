@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from children import child
 from waiting import until
 
 from dpmaster import ConfigurationError, Master
@@ -422,8 +423,8 @@ def test_two_that_talk_at_once_are_line_errors(opened: Opener) -> None:
 def test_a_port_that_was_killed_leaves_no_marks_to_the_next_program(wire: Wire) -> None:
     path = str(wire.segment.port())
     program = f"from dpmaster import Listener; ear = Listener({path!r}, 500_000); print('open', flush=True); input()"
-    with subprocess.Popen([sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as killed:
-        assert killed.stdout and killed.stdout.readline() == "open\n"
+    with child("-c", program, stdin=subprocess.PIPE) as killed:
+        assert killed.stdout.readline() == "open\n"
         wire.segment.faults(parity=1.0)
         wire.say(TOKEN)
         killed.kill()

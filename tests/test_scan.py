@@ -6,11 +6,11 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
 import sys
 from collections.abc import Iterator
 
 import pytest
+from children import child
 
 from dpmaster import EventKind, Live, LiveEntry, Master, Station, StationState, cli
 from dpmaster.drives import YaskawaV7
@@ -178,17 +178,11 @@ def test_what_fails_is_one_line(argv: list[str], words: str, code: int, capsys: 
 
 def test_watch_prints_changes_until_the_signal(wire: Segment) -> None:
     card = wire.attach(SIP1(address=5))
-    argv = [sys.executable, "-m", "dpmaster", "scan", wire.port(), "--hsa", "6", "--json", "--watch"]
-    program = subprocess.Popen(argv, stdout=subprocess.PIPE, text=True,
-                               env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)})
-    try:
-        assert program.stdout
+    with child("-m", "dpmaster", "scan", wire.port(), "--hsa", "6", "--json", "--watch",
+               env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}) as program:
         first = json.loads(program.stdout.readline())
         wire.unplug(card)
         second = json.loads(program.stdout.readline())
         assert [len(seen["stations"]) for seen in (first, second)] == [1, 0]
         program.send_signal(signal.SIGINT)
         assert program.wait(10) == 0
-    finally:
-        program.kill()
-        program.communicate()

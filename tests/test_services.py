@@ -9,14 +9,13 @@ from __future__ import annotations
 import gc
 import json
 import logging
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
+from children import child
 from test_master_pty import CONFIGURATION, IDENT, SAFE, Drive, Echo
 from waiting import until
 
@@ -489,12 +488,13 @@ def test_log_lines_name_the_master(wire: Segment, caplog: pytest.LogCaptureFixtu
 
 
 HURRIED = """
-import os, signal, sys, threading
+import sys, time
 from dpmaster import Master, Station
 class Drive(Station):
     def _rest(self):
         print("rests", flush=True)
-        threading.Event().wait(60)
+        while True:
+            time.sleep(0.05)  # one long sleep would miss a signal that comes straight before it
 with Master(sys.argv[1]) as master:
     drive = master.add(Drive(5, 0x1234, bytes([0x33]), watchdog=None))
     master.operate()
@@ -507,13 +507,11 @@ with Master(sys.argv[1]) as master:
 
 def test_a_second_ctrl_c_skips_the_stop_word_but_not_clear_and_unlock(wire: Segment, cards: list[Echo]) -> None:
     """Its watchdog is off: only Clear and Unlock stop it."""
-    child = subprocess.Popen([sys.executable, "-c", HURRIED, wire.port()], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-                             text=True)
-    assert child.stdout is not None
-    for line in ("runs\n", "rests\n"):
-        assert child.stdout.readline() == line
-        child.send_signal(2)
-    child.communicate(timeout=20)
+    with child("-c", HURRIED, wire.port()) as program:
+        for line in ("runs\n", "rests\n"):
+            assert program.stdout.readline() == line
+            program.send_signal(2)
+        program.communicate(timeout=20)
     until(lambda: (wire.report(cards[0]).state, wire.report(cards[0]).master) == (SlaveState.WAIT_PRM, None))
 
 

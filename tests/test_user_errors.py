@@ -10,7 +10,6 @@ from __future__ import annotations
 import gc
 import os
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -18,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from children import child
 from interrupting import Behind, interrupted
 
 from dpmaster import (
@@ -129,11 +129,10 @@ def test_a_port_in_use_by_this_process(wire: Segment, master: Master) -> None:
 def test_a_port_in_use_by_another_process(wire: Segment) -> None:
     path = str(wire.port())
     program = f"from dpmaster import Master; master = Master({path!r}); print('open', flush=True); input()"
-    with subprocess.Popen([sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
-        assert other.stdout is not None and other.stdin is not None
-        assert other.stdout.readline() == b"open\n"
+    with child("-c", program, stdin=subprocess.PIPE) as other:
+        assert other.stdout.readline() == "open\n"
         refused(PortError, f"{path}|another program|has the port|close that first|fuser", Master, path)
-        other.stdin.write(b"\n")
+        other.communicate("\n", timeout=PATIENCE)
     assert other.returncode == 0
     Master(path).close()
 

@@ -16,6 +16,7 @@ from os import PathLike
 from typing import Any, Self
 
 from dpmaster import _arguments
+from dpmaster._errand import SLICE
 from dpmaster.emulator.card import Card, Exchange, Habits, Slave, SlaveState
 from dpmaster.errors import ClosedError, ConfigurationError, DPTimeout
 from dpmaster.gsd import GSD
@@ -240,7 +241,7 @@ class GenericSlave(Card):
                 return
             with self._changed:
                 while seen is self._exchange and not self._gone and (left := deadline - time.monotonic()) > 0:
-                    self._changed.wait(None if timeout is None else left)
+                    self._changed.wait(min(left, SLICE))  # a Ctrl-C straight before it does not end it
         if self._gone:
             raise ClosedError(f"{self}: its wire was closed")
         raise DPTimeout(f"{self}: what was waited for did not come in {timeout} s; it is in {self.state}, outputs "
