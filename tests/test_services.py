@@ -488,20 +488,18 @@ def test_log_lines_name_the_master(wire: Segment, caplog: pytest.LogCaptureFixtu
 
 
 HURRIED = """
-import sys, time
+import sys
 from dpmaster import Master, Station
 class Drive(Station):
     def _rest(self):
         print("rests", flush=True)
-        while True:
-            time.sleep(0.05)  # one long sleep would miss a signal that comes straight before it
+        self.wait(lambda frame: False, None)  # unlike one long sleep, it sees a signal that came straight before it
 with Master(sys.argv[1]) as master:
     drive = master.add(Drive(5, 0x1234, bytes([0x33]), watchdog=None))
     master.operate()
     drive.wait_sent(drive.update(0, b"RUN!"))
     print("runs", flush=True)
-    while True:
-        drive.wait(lambda frame: False, None)
+    drive.wait(lambda frame: False, None)
 """
 
 
