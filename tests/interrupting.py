@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 from collections.abc import Callable
 from contextlib import suppress
@@ -23,10 +24,12 @@ def interrupted(call: Callable[[], object], at: int) -> bool:
                 sys.setprofile(None)
                 raise KeyboardInterrupt
 
+    gc.disable()  # or what an earlier test has left would be ended in here, and that be interrupted
     sys.setprofile(look)
     with suppress(KeyboardInterrupt):
         call()
     sys.setprofile(None)
+    gc.enable()
     return left <= 0
 
 

@@ -357,10 +357,18 @@ def test_a_loop_over_events_that_was_left_holds_no_subscription(master: Master, 
                 break
             await asyncio.sleep(0)  # the loop closes what was left
 
-    loop_thread = threading.Thread(target=lambda: [master.clear() or master.stop() for _ in range(30)])
-    loop_thread.start()
+    over = threading.Event()
+
+    def change() -> None:
+        while not over.is_set():
+            master.clear()
+            master.stop()
+
+    changing = threading.Thread(target=change)
+    changing.start()
     asyncio.run(program())
-    loop_thread.join()
+    over.set()
+    changing.join()
 
 
 def test_a_slow_taker_of_events_costs_no_time(master: Master, station: Station) -> None:

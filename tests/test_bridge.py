@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 import select
 import socket
 import threading
@@ -11,6 +10,7 @@ from collections.abc import Iterator
 
 import pytest
 import serial
+from leftovers import nothing_left_behind
 from serial import rfc2217
 
 from dpmaster import ConfigurationError, Master, PortError
@@ -104,12 +104,10 @@ def test_no_telegram_waits_for_the_acknowledgement_of_the_one_before(url: str) -
 
 
 def test_a_bridge_leaves_nothing_behind(url: str) -> None:
-    threads, descriptors = threading.active_count(), len(os.listdir("/proc/self/fd"))
-    bridge = Bridge(url)
-    bridge.close()
-    bridge.close()
-    assert threading.active_count() <= threads  # the converter's may end, too
-    assert len(os.listdir("/proc/self/fd")) <= descriptors + 1  # the converter's end of the connection
+    with nothing_left_behind():
+        bridge = Bridge(url)
+        bridge.close()
+        bridge.close()
 
 
 def test_nobody_there_is_one_clear_error() -> None:

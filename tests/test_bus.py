@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from leftovers import nothing_left_behind
 
 from dpmaster._core import block, ffi, lib
 
@@ -122,14 +123,10 @@ def opened(probes: ctypes.CDLL) -> Iterator[Opener]:
         buses.append(Bus(probes, **kwargs))
         return buses[-1]
 
-    tasks, fds = set(os.listdir("/proc/self/task")), set(os.listdir("/proc/self/fd"))
-    yield opener
-    for bus in buses:
-        bus.close()
-    deadline = time.monotonic() + 5.0  # the kernel takes a joined thread off the list a little later
-    while not set(os.listdir("/proc/self/task")) <= tasks:
-        assert time.monotonic() < deadline, "a thread was left behind"
-    assert set(os.listdir("/proc/self/fd")) == fds, "a descriptor was left behind"
+    with nothing_left_behind():
+        yield opener
+        for bus in buses:
+            bus.close()
 
 
 # ---- the loop ----

@@ -445,7 +445,7 @@ def test_run_goes_on_when_the_port_comes_back(write: Callable[..., Path], tmp_pa
 
 def test_run_goes_on_without_a_station(write: Callable[..., Path], capsys: pytest.CaptureFixture[str],
                                        monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dpmaster.cli.run.START", 0.3)
+    monkeypatch.setattr("dpmaster.cli.run.START", 0.8)
     with Segment() as wire:
         wire.attach(SIP1(5))
         assert cli.main(["run", str(write()), "--port", wire.port(), "--seconds", "0.1"]) == 0

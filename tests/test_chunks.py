@@ -58,16 +58,16 @@ def test_timing_predicts_the_cycle_behind_an_adapter(rate: int, chunk: int, slav
 
 @pytest.mark.parametrize("chunk", [0.001, 0.016])
 def test_exchange_stands_behind_an_adapter_with_the_measured_allowance(chunk: float) -> None:
-    """A busy computer may be later than it was while it was measured: one of three attempts has to be without a loss."""
-    for _ in range(3):
+    """A busy computer may be later than it was while it was measured: one of five attempts has to be without a loss."""
+    for _ in range(5):
         with Segment(RATE, realtime=True) as wire:
             card = wire.attach(SIP1(address=7))
             wire.faults(chunk=chunk)
             port = wire.port()
             found = calibrate(port, RATE, station=7, count=30)
             assert found.worst > chunk / 4, "nothing was late: octets were not gathered"
-            with Master(port, RATE, allowance=found.allowance, realtime=True) as master:
-                drive = master.add(YaskawaV7(address=7))
+            with Master(port, RATE, allowance=min(1.0, found.allowance), realtime=True) as master:
+                drive = master.add(YaskawaV7(address=7, watchdog=5.0))
                 master.operate()
                 begin = drive.statistics
                 deadline = time.monotonic() + 10
@@ -84,7 +84,7 @@ def test_exchange_stands_behind_an_adapter_with_the_measured_allowance(chunk: fl
 def test_exchange_stands_on_a_bad_line_and_the_statistics_name_it(chunk: float, echo: bool) -> None:
     """Octets late, in chunks, with parity errors, among one's own: each shows where it belongs, and no station is lost."""
     patient = replace(BusParameters.default(RATE), max_retry_limit=5)
-    for _ in range(3):  # as above: the computer's own lateness is no fault of the line
+    for _ in range(5):  # as above: the computer's own lateness is no fault of the line
         with Segment(RATE, echo=echo, realtime=True) as wire:
             card = wire.attach(SIP1(address=7))
             with Master(wire.port(), RATE, allowance=0.03, parameters=patient, realtime=True) as master:

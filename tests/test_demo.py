@@ -53,11 +53,11 @@ def test_the_summary_says_what_happened(paced: list[str]) -> None:
 
 
 def test_in_a_pipe_it_prints_lines() -> None:
-    done = subprocess.run([*COMMAND, "--acceleration", "1", "--reverse"], capture_output=True, text=True, timeout=60)
+    done = subprocess.run([*COMMAND, "--acceleration", "2", "--reverse"], capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stderr) == (0, "")
     assert "\r" not in done.stdout and not re.search(r" $", done.stdout, flags=re.MULTILINE)
     assert re.search(r"n003 = 3 .* n004 = 9 ", done.stdout)
-    assert "written 1.0 s, read back 1.0 s" in done.stdout
+    assert "written 2.0 s, read back 2.0 s" in done.stdout
     assert re.search(r"\[#{20}\] +30\.00 Hz .*reverse.*frequency agree", done.stdout)
     refused, _, down = done.stdout.partition("the ramp down")
     assert "code 22h" in refused

@@ -148,7 +148,7 @@ def test_the_doctor_sends_nothing_and_names_what_it_hears(wire: Segment) -> None
     assert wire.info.transmissions == 0
     with Master(wire.port(), RATE, address=3) as master:
         master.stop()
-        found = examine(port, RATE, listen=0.2)
+        found = examine(port, RATE, listen=0.5)
     assert remarks(iter(found.remarks))["bus"].text == "telegrams are heard, master 3 has it; 0 line errors"
     assert found.works
 
@@ -292,7 +292,7 @@ def test_a_slave_s_answers_are_measured_and_the_result_runs_a_master(wire: Segme
     assert found.by == "station 7" and 10 <= found.samples <= 20
     with Master(wire.port(), RATE, allowance=min(1.0, found.allowance)) as master:
         master.stop()
-        assert master.statistics.port.allowance == pytest.approx(found.allowance)
+        assert master.statistics.port.allowance == pytest.approx(min(1.0, found.allowance))
 
 
 class Paced:
@@ -354,7 +354,7 @@ def test_a_file_that_is_no_calibration_is_refused(tmp_path: Path, content: str) 
 
 def test_perf_counts_cycles_and_draws_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     picture = tmp_path / "p.svg"
-    assert cli.main(["perf", "--seconds", "0.3", "--cycle-time", "5", "--svg", str(picture), "--json"]) == 0
+    assert cli.main(["perf", "--seconds", "0.6", "--cycle-time", "5", "--svg", str(picture), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["cycles"] + found["skipped"] >= 40 and found["cycles"] == sum(each["cycles"] for each in found["classes"])
     assert ElementTree.parse(picture).getroot().tag.endswith("svg")

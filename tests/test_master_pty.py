@@ -88,6 +88,11 @@ class Drive(Station):
         self.fail = fail
         self.rested: list[str] = []
 
+    def runs(self) -> None:
+        """Its card's application has seen it."""
+        self.update(0, b"RUN!")
+        self.wait(lambda frame: frame.octets == b"RUN!", PATIENCE)
+
     def _rest(self) -> None:
         self.rested.append(threading.current_thread().name)
         if self.fail:
@@ -149,7 +154,7 @@ def test_a_station_that_refuses_says_why(master: Master, card: Echo, options: di
     wanted = {"ident_number": IDENT, "configuration": CONFIGURATION} | options
     master.add(Station(5, name="mixer", **wanted))
     with pytest.raises(StationError) as caught:
-        master.operate(timeout=0.5)
+        master.operate(timeout=PATIENCE)  # it comes back as soon as it is sure
     assert caught.value.address == 5
     for word in ["mixer (address 5)", *words]:
         assert word in str(caught.value)
@@ -158,6 +163,8 @@ def test_a_station_that_refuses_says_why(master: Master, card: Echo, options: di
 
 def test_operate_without_those_that_are_missing(master: Master, station: Station) -> None:
     absent = master.add(Station(9, IDENT, CONFIGURATION))
+    master.clear()
+    until(lambda: station.state == StationState.DATA)
     with pytest.raises(DPTimeout, match=r"1 of 2 stations.*station 9"):
         master.operate(timeout=0.3)
     assert station.state == StationState.DATA
@@ -280,8 +287,8 @@ def test_diagnosis_is_fetched_when_the_station_announces_it(wire: Segment, runni
 
 @contextmanager
 def watched(wire: Segment, output_watchdog: float) -> Iterator[Station]:
-    with Master(wire.port(), output_watchdog=output_watchdog) as master:
-        station = master.add(Station(5, IDENT, CONFIGURATION))
+    with Master(wire.port(), output_watchdog=output_watchdog, allowance=0.1) as master:
+        station = master.add(Station(5, IDENT, CONFIGURATION, watchdog=5.0))  # a station that is lost has no outputs to watch
         master.operate()
         yield station
 
@@ -385,7 +392,7 @@ def test_a_later_thread_is_not_the_one_that_committed(brief: Station) -> None:
 
     def watch() -> None:
         idents.append(threading.get_ident())
-        end = outlasts(master)
+        end = outlasts(master) + 2.0
         while len(set(idents)) < len(idents) and master.mode == Mode.OPERATE and time.monotonic() < end:
             master.wait_cycle()
 
@@ -411,7 +418,7 @@ def test_operating_again_and_again_does_not_feed(brief: Station) -> None:
     expired = threading.Event()
 
     def operate() -> None:
-        end = outlasts(master)
+        end = outlasts(master) + 2.0
         while time.monotonic() < end and not expired.is_set():
             with suppress(DPTimeout):  # it ran out in the middle
                 master.operate()
@@ -568,7 +575,7 @@ def test_nobody_operates_what_is_being_closed(master: Master, card: Echo, monkey
     """Else what runs would go to Clear without a second stop word."""
     drive = master.add(Drive())
     master.operate()
-    drive.wait_sent(drive.update(0, b"RUN!"))
+    drive.runs()
     await_mode = master._await_mode
 
     def operate_meanwhile(mode: Mode, timeout: float) -> None:
@@ -696,7 +703,7 @@ def test_a_stop_word_that_fails_keeps_nobody(wire: Segment, caplog: pytest.LogCa
         drives = [master.add(Drive(5, fail=True)), master.add(Drive(6))]
         master.operate()
         for drive in drives:
-            drive.wait_sent(drive.update(0, b"RUN!"))
+            drive.runs()
     assert [card.written for card in cards] == [[b"RUN!"], [b"RUN!", b"STOP"]]
     assert "no stop word today" in caplog.text
     assert master.closed
@@ -723,7 +730,7 @@ def test_ctrl_c_leaves_through_the_stop_word(wire: Segment, card: Echo) -> None:
     with pytest.raises(KeyboardInterrupt), Master(wire.port()) as master:
         drive = master.add(Drive())
         master.operate()
-        drive.wait_sent(drive.update(0, b"RUN!"))
+        drive.runs()
         threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGINT)).start()
         drive.wait(lambda frame: False, None)
     assert card.written == [b"RUN!", b"STOP"]
@@ -734,12 +741,13 @@ import sys
 from dpmaster import Master, Station
 class Drive(Station):
     def _rest(self):
-        self.wait_sent(self.update(0, b"STOP"), timeout=0.5)
-        self.wait(lambda frame: frame.octets == b"STOP", timeout=0.5)  # the card's application has seen it, before Clear comes
+        self.update(0, b"STOP")
+        self.wait(lambda frame: frame.octets == b"STOP", 5.0)  # the card's application has seen it, before Clear comes
 master = Master(sys.argv[1])
 drive = master.add(Drive(5, 0x1234, bytes([0x33])))
 master.operate()
-drive.wait_sent(drive.update(0, b"RUN!"))
+drive.update(0, b"RUN!")
+drive.wait(lambda frame: frame.octets == b"RUN!", 20.0)  # as above
 print("runs", flush=True)
 """
 
@@ -819,8 +827,9 @@ def test_services_by_hand_are_not_for_stations_in_the_cycle(running: Station, ca
 
 
 def test_requests_say_what_came_back(master: Master, running: Station) -> None:
-    status = master.request(5, "FDL_STATUS")
-    assert (status.fc, status.data, status.tries, status.ok) == (0x00, b"", 1, True)
+    statuses = (master.request(5, "FDL_STATUS") for _ in range(10))
+    status = next(status for status in statuses if status.tries == 1)  # a busy computer asks again
+    assert (status.fc, status.data, status.ok) == (0x00, b"", True)
     assert status.tsdr is None or 0 <= status.tsdr < 1
     configuration = master.request(5, "SRD", 59, 62)  # Get_Cfg
     assert configuration.data == CONFIGURATION
@@ -873,8 +882,9 @@ def test_the_log_tells_two_troubles_that_take_turns_once_each(wire: Segment, mas
     """Set_Prm that is too long is answered by RS, and the diagnosis behind it says Prm_Fault, with every try."""
     station = master.add(Station(5, IDENT, CONFIGURATION, b"12345"))
     with pytest.raises(StationError):
-        master.operate(timeout=0.3)
+        master.operate(timeout=PATIENCE)
     assert station.statistics.refused >= 3
+    master.close()  # the log is complete
     assert caplog.text.count("RS, service not activated") == 1 and caplog.text.count("Prm_Fault") == 1
 
 

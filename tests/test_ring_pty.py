@@ -121,8 +121,8 @@ def test_timing_computes_what_a_master_on_a_paced_pty_needs(rate: int) -> None:
 
 
 def test_a_master_with_echo_hears_its_own_tokens() -> None:
-    """All of them, in one run of three: a loaded machine's hub gives an echo back too late now and then."""
-    assert any(hears_its_own_tokens() for _ in range(3))
+    """All of them, in one run of ten: a loaded machine's hub gives an echo back too late now and then."""
+    assert any(hears_its_own_tokens() for _ in range(10))
 
 
 def hears_its_own_tokens() -> bool:

@@ -271,7 +271,7 @@ def bench() -> Iterator[Bench]:
 
 
 def test_a_killed_master_is_noticed_by_the_slaves_watchdog_which_is_on_by_default(bench: Bench) -> None:
-    program = bench.program(FOLLOW, watchdog="default", cycle_time=0.03, allowance=None)
+    program = bench.program(FOLLOW, watchdog="default", cycle_time=0.03, allowance=0.08)
     assert 0.1 <= bench.watchdog <= 1.0  # "ten predicted cycles with retries, at least 100 ms, at most 1 s"
     killed = program.signal(signal.SIGKILL)
     fault = bench.card.until(lambda seen: seen.fault == "BUS", killed)

@@ -128,7 +128,7 @@ def test_the_grid_fits_a_terminal_and_names_what_is_there(wire: Segment, capsys:
 def test_a_slave_far_away_is_found_with_the_allowance_it_needs(wire: Segment, capsys: pytest.CaptureFixture[str]) -> None:
     """As behind a converter on the network; a pty's own allowance is 25 ms."""
     wire.attach(SIP1(address=3))
-    wire.faults(delay=0.06)
+    wire.faults(delay=0.03)
     assert cli.main(["scan", wire.port(), "--hsa", "3", "--allowance", "400"]) == 0
     assert "3  slave   00CAh" in capsys.readouterr().out
 

@@ -351,11 +351,11 @@ def test_a_station_is_deactivated_and_activated(wire: Segment, master: Master, c
 
 
 def test_the_time_to_be_released_in_counts_from_the_next_cycle(wire: Segment, cards: list[Echo]) -> None:
-    with Master(wire.port(), cycle_time=0.5) as master:
-        station = master.add(Station(6, IDENT, CONFIGURATION, watchdog=5.0))
+    with Master(wire.port(), cycle_time=0.6) as master:
+        station = master.add(Station(6, IDENT, CONFIGURATION, watchdog=10.0))
         master.clear()
         until(lambda: station.state not in (StationState.OFFLINE, StationState.INACTIVE))  # a cycle has just begun
-        station.deactivate(timeout=0.1)
+        station.deactivate(timeout=0.3)
         assert station.state == StationState.INACTIVE
 
 
