@@ -18,6 +18,7 @@ import pytest
 from children import child
 from test_demo import read_until
 from test_safety import Witness
+from waiting import until
 
 from dpmaster.cli import main
 from dpmaster.emulator import Card, Segment, SlaveState
@@ -31,7 +32,8 @@ class Bench:
         self.wire = Segment(ports=1, cards=1)
         self.card = self.wire.attach(card)
         self.port = self.wire.port()
-        self.arguments = ["drive", str(self.port), "--address", str(card.address), "--profile", profile, *options]
+        self.arguments = ["drive", str(self.port), "--address", str(card.address), "--profile", profile,
+                          "--allowance", "100", *options]  # a busy computer shall not lose the drive
 
     def command(self, *action: str) -> list[str]:
         return ["-m", "dpmaster", *self.arguments, *action]
@@ -127,8 +129,7 @@ def test_a_signal_stops_the_drive_before_it_is_left(v7: Bench, number: signal.Si
     """Without --for, Ctrl-C is how it is meant to end."""
     near, far = pty.openpty()
     fcntl.ioctl(far, termios.TIOCSWINSZ, struct.pack("4H", 24, 80, 0, 0))
-    command = v7.command("--allowance", "100", "run", "--frequency", "30", *seconds)  # a busy computer shall not lose the drive
-    with child(*command, stdout=far, text=False) as process:
+    with child(*v7.command("run", "--frequency", "30", *seconds), stdout=far, text=False) as process:
         os.close(far)
         try:
             text = read_until(near, r"30\.00 Hz .*at speed", PATIENCE)
@@ -148,6 +149,7 @@ def test_a_second_ctrl_c_leaves_at_once_with_the_stop_word_said(v7: Bench) -> No
         read_until(process.stdout.fileno(), r"at speed", PATIENCE)
         process.send_signal(signal.SIGINT)
         read_until(process.stdout.fileno(), r"the ramp down", PATIENCE)
+        until(lambda: not v7.card.history[-1].commanded)  # type: ignore[attr-defined]
         process.send_signal(signal.SIGINT)
         assert process.wait(PATIENCE) == 130
     last = [seen for seen in v7.card.history if seen.exchange.valid][-1]  # type: ignore[attr-defined]
