@@ -80,6 +80,7 @@ struct dpm_port {
     dpm_port_config config;
     dpm_port_info info;
     bool pty;
+    bool exclusive;        /* TIOCEXCL is ours */
     bool marked;           /* the driver marks errors; behind a pty, the segment hub */
     bool paced;            /* a transmission takes its characters' time */
     int64_t character;     /* ns of one character at the rate */
@@ -153,11 +154,11 @@ static bool driven_by(const dpm_port *port, const char *const *names)
     return false;
 }
 
-/* The rate behind the one that the driver says. The plain 8250 divides its clock by a whole number and yet tells what it
- * was asked for; other drivers tell what they make. */
+/* The rate behind the one that the driver says. The plain 8250 and the SC16IS7xx divide their clock by a whole number and yet
+ * tell what they were asked for; other drivers tell what they make, or nothing that could be computed. */
 static uint32_t real_rate(const dpm_port *port, uint32_t told)
 {
-    static const char *const plain[] = {"serial8250", "serial", "of_serial", NULL};
+    static const char *const plain[] = {"serial8250", "serial", "of_serial", "sc16is7xx", NULL};
     struct serial_struct serial;
     memset(&serial, 0, sizeof serial);
     if (port->pty || !told || ioctl(port->fd, TIOCGSERIAL, &serial) < 0 || serial.baud_base <= 0 || !driven_by(port, plain))
@@ -209,6 +210,7 @@ static int set_direction(dpm_port *port)
     struct serial_rs485 mode;
     memset(&mode, 0, sizeof mode);
     const bool known = ioctl(port->fd, TIOCGRS485, &mode) == 0;
+    struct serial_rs485 before = mode;
     if (port->config.direction == DPM_DIRECTION_AUTO) {
         port->info.rs485 = known && (mode.flags & SER_RS485_ENABLED);
         return DPM_OK;
@@ -223,6 +225,8 @@ static int set_direction(dpm_port *port)
     if (ioctl(port->fd, TIOCSRS485, &mode) < 0 || ioctl(port->fd, TIOCGRS485, &mode) < 0)
         return errno == EPERM || errno == EACCES ? DPM_E_PERMISSION : DPM_E_RS485;
     port->info.rs485 = (mode.flags & (SER_RS485_ENABLED | levels)) == (SER_RS485_ENABLED | level);
+    if (!port->info.rs485) /* the wrong level would keep the transceiver sending */
+        (void)ioctl(port->fd, TIOCSRS485, &before);
     return port->info.rs485 ? DPM_OK : DPM_E_RS485;
 }
 
@@ -276,12 +280,16 @@ static void ask_driver(dpm_port *port)
 
 /* The lock ends with its holder, however that dies. TIOCEXCL does so only where the last close resets it: a hub holds
  * its ptys open, and the flag of a dead client would shut everybody out. */
-static int lock_port(const dpm_port *port)
+static int lock_port(dpm_port *port)
 {
+    int taken = 0;
     if (flock(port->fd, LOCK_EX | LOCK_NB) < 0)
         return open_error(errno);
-    if (!port->pty)
-        (void)ioctl(port->fd, TIOCEXCL);
+    if (port->pty)
+        return DPM_OK;
+    if (ioctl(port->fd, TIOCGEXCL, &taken) == 0 && taken)
+        return DPM_E_IN_USE; /* root was let in all the same */
+    port->exclusive = ioctl(port->fd, TIOCEXCL) == 0;
     return DPM_OK;
 }
 
@@ -289,8 +297,9 @@ static void close_fd(dpm_port *port)
 {
     if (port->fd < 0)
         return;
-    if (!port->pty)
+    if (port->exclusive)
         (void)ioctl(port->fd, TIOCNXCL);
+    port->exclusive = false;
     /* By hand: a forked child may still hold the descriptor. */
     (void)dpm_pty_claim(port->fd, DPM_PTY_READS_MARKS, false);
     (void)flock(port->fd, LOCK_UN);
@@ -352,12 +361,15 @@ static int open_line(dpm_port *port)
     port->device = status.st_rdev;
     set_kind(port);
     int code = lock_port(port);
-    if (!code)
-        code = set_line(port);
-    if (!code)
-        code = set_direction(port);
     if (code)
         return code;
+    code = set_line(port);
+    if (!code)
+        code = set_direction(port);
+    if (code) {
+        (void)ioctl(port->fd, TCSETS2, &line); /* it may be somebody's console */
+        return code;
+    }
     if (!port->pty)
         ask_driver(port);
     port->marked = !port->pty ||

@@ -86,10 +86,12 @@ static void try_modes(const char *path, uint32_t rate)
         return;
     dpm_port_info info = info_of(port);
     printf("@%s.driver %d %d %d %d\n", subject, info.drains, info.counted, info.low_latency, info.fifo_trigger);
-    printf("@%s.second %d\n", subject, open_port(path, rate, DPM_DIRECTION_AUTO, &second));
+    int code = open_port(path, rate, DPM_DIRECTION_AUTO, &second), exclusive = 0;
+    (void)ioctl(dpm_port_fd(port), TIOCGEXCL, &exclusive);
+    printf("@%s.second %d %d\n", subject, code, exclusive);
     dpm_port_close(port);
     for (int direction = DPM_DIRECTION_RS485; direction <= DPM_DIRECTION_RS485_INVERTED; direction++) {
-        int code = open_port(path, rate, direction, &port);
+        code = open_port(path, rate, direction, &port);
         printf("@%s.rs485.%d %d %d %s\n", subject, direction, code, code ? 0 : info_of(port).rs485, dpm_strerror(code));
         if (!code)
             dpm_port_close(port);

@@ -184,7 +184,9 @@ def test_every_rate_the_uart_can_make_is_made_and_others_are_refused(facts: dict
 
 @pytest.mark.parametrize("uart", UARTS)
 def test_a_port_has_one_user(facts: dict[str, list[str]], uart: str) -> None:
-    assert int(facts[f"{uart}.second"][0]) == lib.DPM_E_IN_USE
+    """And keeps it: the guest's program is root, whom TIOCEXCL does not stop."""
+    code, exclusive = map(int, facts[f"{uart}.second"])
+    assert (code, exclusive) == (lib.DPM_E_IN_USE, 1)
 
 
 def test_rs485_mode_is_taken_by_the_pl011_and_refused_for_the_16550(facts: dict[str, list[str]]) -> None:

@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: MIT
+"""Drivers that no machine has at hand, as odd_driver.c plays them on a pty: what they say and what is made of it.
+
+What they do is from the kernel's sources. Real drivers in a real kernel are uart.py's.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytestmark = pytest.mark.tree
+
+HERE = Path(__file__).resolve().parent
+SC16IS752 = {"driver": "sc16is7xx", "major": "204", "base": "921600", "most": "921600"}  # sc16is7xx.c: uartclk / 16
+PL011 = {"driver": "uart-pl011", "major": "204", "base": "1500000", "most": "1500000"}
+FT232R = {"driver": "ftdi_sio", "major": "188", "base": "24000000", "most": "3000000"}
+CH340 = {"driver": "ch341-uart", "major": "188"}  # ch341.c never calls tty_encode_baud_rate
+BEGIN = """
+import fcntl, json, os, pty, struct, sys, termios
+from dpmaster.ports import Port
+from test_port import Port as Opened
+far, near = pty.openpty()
+path = os.ttyname(near)
+"""
+
+Played = Callable[..., Any]
+
+
+@pytest.fixture(scope="module")
+def played(tmp_path_factory: pytest.TempPathFactory) -> Played:
+    """Run a program with the driver that `driver` describes; returns what it prints."""
+    library = tmp_path_factory.mktemp("driver") / "odd.so"
+    subprocess.run(["cc", "-std=c11", "-D_GNU_SOURCE", "-shared", "-fPIC", str(HERE / "odd_driver.c"), "-o", str(library),
+                    "-ldl"], check=True)
+
+    def run(driver: dict[str, str], program: str) -> Any:
+        odd = {f"ODD_{name.upper()}": value for name, value in driver.items()}
+        preload = " ".join(filter(None, (os.environ.get("LD_PRELOAD"), str(library))))
+        done = subprocess.run(
+            [sys.executable, "-c", BEGIN + program], capture_output=True, text=True, timeout=60,
+            env=os.environ | odd | {"LD_PRELOAD": preload, "PYTHONPATH": os.pathsep.join([str(HERE), *sys.path])})
+        assert done.returncode == 0, done.stderr
+        return json.loads(done.stdout)
+
+    return run
+
+
+RATES = """
+port = Port(path, "uart")
+print(json.dumps([[rate.nominal for rate in port.rates() if rate.made is not None], port.repeats]))
+"""
+
+
+@pytest.mark.parametrize(("driver", "made", "repeats"), [
+    (SC16IS752, [9600, 19200], False),  # protocol page N.1: "14.7456 MHz crystal -> no 93.75k/500k"
+    (PL011, [9600, 19200, 31250, 45450, 93750, 187500, 500000, 1500000], False),
+    (FT232R, [9600, 19200, 31250, 45450, 93750, 187500, 500000, 1500000, 3000000], False),
+    (CH340, [9600, 19200, 31250, 45450, 93750, 187500, 500000, 1500000, 3000000, 6000000, 12000000], True),
+], ids=["SC16IS752", "PL011", "FT232R", "CH340"])
+def test_what_a_driver_says_of_its_rates_is_judged(
+        played: Played, driver: dict[str, str], made: list[int], repeats: bool) -> None:
+    assert played(driver, RATES) == [made, repeats]
+
+
+@pytest.mark.parametrize(("mask", "codes"), [
+    ("7", [0, 0]),    # ENABLED, RTS_ON_SEND, RTS_AFTER_SEND
+    ("3", [0, -27]),  # no RTS_AFTER_SEND: DPM_E_RS485
+    ("6", [-27, -27])])
+def test_of_the_rs485_mode_nothing_is_left_that_was_not_meant(played: Played, mask: str, codes: list[int]) -> None:
+    """Protocol page N.2: "The ioctl returns the accepted set: check". RTS at the wrong level keeps a transceiver sending."""
+    found, left = played({**PL011, "rs485": mask}, """
+found, left = [], []
+for direction in 1, 2:
+    fcntl.ioctl(near, 0x542F, bytes(32))  # TIOCSRS485: off
+    port = Opened(path, direction=direction)
+    found.append(port.code)
+    port.close()
+    left.append(struct.unpack_from("I", fcntl.ioctl(near, 0x542E, bytes(32)))[0])
+print(json.dumps([found, left]))
+""")
+    assert found == codes
+    assert left == [0 if code else 1 | level for code, level in zip(codes, (2, 4), strict=True)]
+
+
+def test_a_port_that_is_refused_stays_as_it_was(played: Played) -> None:
+    """It may be somebody's console."""
+    assert played(PL011, """
+before = termios.tcgetattr(near)
+code = Opened(path, rate=3_000_000).code
+print(json.dumps([code, [str(each) for each in before] == [str(each) for each in termios.tcgetattr(near)]]))
+""") == [-26, True]  # DPM_E_RATE
+
+
+def test_who_is_turned_away_does_not_open_the_port_to_others(played: Played) -> None:
+    """Ioctl_tty(2): TIOCEXCL "has no effect for a process with CAP_SYS_ADMIN"; TIOCGEXCL tells whether it is set."""
+    assert played(PL011, """
+TIOCGEXCL = 0x80045440
+def exclusive():
+    return struct.unpack("i", fcntl.ioctl(near, TIOCGEXCL, bytes(4)))[0]
+first = Opened(path)
+found = [first.code, exclusive()]
+found += [Opened(path).code, exclusive()]
+first.close()
+found += [exclusive()]
+fcntl.ioctl(near, termios.TIOCEXCL)  # another program's, which takes no lock
+found += [Opened(path).code, exclusive()]
+print(json.dumps(found))
+""") == [0, 1, -19, 1, 0, -19, 1]  # DPM_E_IN_USE
