@@ -10,19 +10,23 @@ from __future__ import annotations
 import os
 import platform
 import resource
+import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 
 from dpmaster import cable
+from dpmaster._core import block
 from dpmaster.errors import PortError
 from dpmaster.listener import Listener
 from dpmaster.parameters import BusParameters
 from dpmaster.ports import Port, Rate
-from dpmaster.realtime import Realtime
+from dpmaster.realtime import Realtime, lock
 
 __all__ = ["Diagnosis", "Level", "Remark", "examine", "examine_computer"]
+
+LOCKED = 1 << 20  # octets: more than a bus thread's stack and blocks
 
 
 class Level(Enum):
@@ -64,8 +68,8 @@ def examine(path: str, baudrate: int | None = None, listen: float = 1.0) -> Diag
     remarks = [*_identity(port), *_access(port)]
     if port.permitted:
         try:
-            rates = port.rates()
-            remarks += [*_rates(port, rates, baudrate), *_direction(port), *_delivery(port), *_echo(port)]
+            rates, believed = port.rates(), not port.repeats
+            remarks += [*_rates(port, rates, baudrate, believed), *_direction(port), *_delivery(port), *_echo(port)]
             if baudrate is not None:
                 remarks += [*_heard(port, baudrate, listen), *_cable(baudrate)]
         except PortError as error:
@@ -106,13 +110,17 @@ def _kilo(rate: int) -> str:
     return f"{rate / 1000:g}k" if rate < 1_000_000 else f"{rate / 1_000_000:g}M"
 
 
-def _rates(port: Port, rates: tuple[Rate, ...], wanted: int | None) -> Iterator[Remark]:
+def _rates(port: Port, rates: tuple[Rate, ...], wanted: int | None, believed: bool = True) -> Iterator[Remark]:
     made = [rate.nominal for rate in rates if rate.made is not None]
     lacks = [rate.nominal for rate in rates if rate.made is None]
     if port.kind == "pty":
         yield Remark(Level.NOTE, "rates", "a pty takes every rate and drops parity: octets have no length on it")
     elif not made:
         yield Remark(Level.BAD, "rates", "it makes none of PROFIBUS's rates within 0.3 %", "another adapter: FT232R, FT232H")
+    elif not believed:
+        yield Remark(Level.NOTE, "rates",
+                     "its driver says yes to every rate, 100 Mbit/s among them: which of them it makes is not known",
+                     "the data sheet of its chip, then a slave that answers; FT232R and FT232H tell what they make")
     else:
         without = f"; not {', '.join(map(_kilo, lacks))} bit/s" if lacks else ""
         yield Remark(Level.GOOD, "rates", f"{', '.join(map(_kilo, made))} bit/s with even parity{without}")
@@ -211,24 +219,45 @@ def _kernel() -> Iterator[Remark]:
                      "nothing, for a master alone on its bus; in a ring, a kernel with PREEMPT_RT (Debian: linux-image-rt-*)")
 
 
+def _granted(priority: int) -> bool:
+    """Whether a thread of this program may have it."""
+    granted = []
+
+    def ask() -> None:
+        try:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+            granted.append(True)
+        except OSError:
+            pass
+
+    thread = threading.Thread(target=ask)
+    thread.start()
+    thread.join()
+    return bool(granted)
+
+
 def _limits(level: Level) -> Iterator[Remark]:
-    """`level`: how much a refusal matters. On a pty nothing of this is asked for unless the program says so."""
+    """`level`: how much a refusal matters. On a pty nothing of this is asked for unless the program says so. What is granted
+    is tried: a container or a control group refuses root, too, and what the limits would grant."""
     wanted = Realtime().priority
     allowed = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
-    unlimited = (os.geteuid() == 0, allowed == resource.RLIM_INFINITY)
-    if any(unlimited) or allowed >= wanted:
-        yield Remark(Level.GOOD, "priority", f"SCHED_FIFO {wanted} is granted")
-    else:
-        yield Remark(level, "priority", f"SCHED_FIFO ends at {allowed} for this user, the bus thread asks for {wanted}",
-                     "'@dialout - rtprio 60' in /etc/security/limits.d/dpmaster.conf, LimitRTPRIO=60 in a systemd unit")
-    memory = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
-    if memory != resource.RLIM_INFINITY and memory < 1 << 20 and os.geteuid():
-        yield Remark(level, "memory", f"{memory // 1024} KiB may be locked, the bus thread needs 1 MiB",
-                     "'@dialout - memlock unlimited', LimitMEMLOCK=infinity")
-    runtime = _read("/proc/sys/kernel/sched_rt_runtime_us")
-    if runtime == "0":
+    if _read("/proc/sys/kernel/sched_rt_runtime_us") == "0":  # one that is tried would not come back
         yield Remark(Level.BAD, "priority", "sched_rt_runtime_us is 0: real-time threads never run",
                      "sysctl kernel.sched_rt_runtime_us=950000")
+    elif _granted(wanted):
+        yield Remark(Level.GOOD, "priority", f"SCHED_FIFO {wanted} is granted")
+    elif os.geteuid() and 0 <= allowed < wanted:
+        yield Remark(level, "priority", f"SCHED_FIFO ends at {allowed} for this user, the bus thread asks for {wanted}",
+                     "'@dialout - rtprio 60' in /etc/security/limits.d/dpmaster.conf, LimitRTPRIO=60 in a systemd unit")
+    else:
+        yield Remark(level, "priority",
+                     f"SCHED_FIFO {wanted} is refused, whoever this user is: by a container or a control group",
+                     "a container with --cap-add SYS_NICE or --ulimit rtprio=60; else a master outside of it")
+    if lock([block(LOCKED)]):
+        memory = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
+        limit = f", the limit is {memory // 1024} KiB" if memory >= 0 else ""
+        yield Remark(level, "memory", f"{LOCKED // 1024} KiB may not be locked for the bus thread{limit}",
+                     "'@dialout - memlock unlimited', LimitMEMLOCK=infinity, a container with --ulimit memlock=-1")
 
 
 def _governor() -> Iterator[Remark]:

@@ -16,6 +16,7 @@ import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 
 from serial.tools import list_ports
@@ -34,13 +35,15 @@ LEVELS = ("device", "device/..", "device/../..")  # since Linux 6.5 two devices 
 SERIAL_CORE = ("port", "ctrl")
 TCGETS2, TCSETS2, TIOCGRS485, TIOCSRS485 = 0x802C542A, 0x402C542B, 0x542E, 0x542F
 RS485_ENABLED = 1
+NOBODY_MAKES = Fraction(100_000_000)  # bit/s; USB adapters of high speed end at 12 Mbit/s
 # What the serial core calls a UART that it has found, by the number in its file "type": include/uapi/linux/serial.h.
 CHIPS = {"1": "8250", "2": "16450", "3": "16550", "4": "16550A", "6": "16650", "7": "16650V2", "8": "16750", "10": "16950"}
 
 
 @dataclass(frozen=True, slots=True)
 class Rate:
-    """A PROFIBUS rate on a port, bit/s: what the driver makes of it, None: it refuses, or is off by more than 0.3 %."""
+    """A PROFIBUS rate on a port, bit/s: what the driver makes of it or, where it `repeats`, was asked for; None: it refuses, or
+    is off by more than 0.3 %."""
 
     nominal: int
     made: int | None
@@ -108,16 +111,27 @@ class Port:
 
     def rates(self) -> tuple[Rate, ...]:
         """Every PROFIBUS rate, set and read back; then the line is as it was. Raises PortError where it cannot be opened."""
+        with self._line_kept():
+            return tuple(Rate(nominal, self._try(BusParameters.default(nominal).rate)) for nominal in BAUDRATES)
+
+    @property
+    def repeats(self) -> bool:
+        """The driver tells what it was asked for, whatever it makes of it (a CH340's, a CDC ACM adapter's): it claims
+        100 Mbit/s, too. Raises PortError as `rates`."""
+        with self._line_kept():
+            return self._try(NOBODY_MAKES) is not None
+
+    @contextmanager
+    def _line_kept(self) -> Iterator[None]:
         try:
             with self._kept(TCGETS2, TCSETS2, 44):
-                return tuple(Rate(nominal, self._try(nominal)) for nominal in BAUDRATES)
+                yield
         except PortError:
             raise
         except OSError as error:
             raise port_error(self.path, lib.DPM_E_IN_USE if error.errno == errno.EBUSY else lib.DPM_E_NO_PORT) from None
 
-    def _try(self, nominal: int, direction: int = lib.DPM_DIRECTION_AUTO) -> int | None:
-        rate = BusParameters.default(nominal).rate
+    def _try(self, rate: Fraction, direction: int = lib.DPM_DIRECTION_AUTO) -> int | None:
         path = ffi.new("char[]", os.fsencode(self.path))
         config = ffi.new("dpm_port_config *", {"path": path, "rate_num": rate.numerator, "rate_den": rate.denominator,
                                                "direction": direction, "allowance": -1})
@@ -135,7 +149,7 @@ class Port:
         """Whether the driver can switch the direction, and whether it does already. What it was set to is put back."""
         try:
             with self._kept(TCGETS2, TCSETS2, 44), self._kept(TIOCGRS485, TIOCSRS485, 32) as before:
-                can = self._try(9600, lib.DPM_DIRECTION_RS485) is not None
+                can = self._try(Fraction(9600), lib.DPM_DIRECTION_RS485) is not None
                 return can, bool(struct.unpack_from("I", before)[0] & RS485_ENABLED)
         except PortError:
             raise

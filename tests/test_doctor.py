@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import errno
 import grp
 import json
 import os
@@ -109,6 +110,11 @@ def test_rates_are_told_with_those_that_lack(adapter: Port) -> None:
     assert remarks(doctor._rates(adapter, (Rate(9600, None),), None))["rates"].level is Level.BAD
 
 
+def test_a_driver_that_says_yes_to_everything_is_not_believed(adapter: Port) -> None:
+    found = remarks(doctor._rates(adapter, (Rate(12_000_000, 12_000_000),), RATE, believed=False))["rates"]
+    assert found.level is Level.NOTE and "100 Mbit/s among them" in found.text
+
+
 @pytest.mark.parametrize(("mode", "gid", "text", "remedy"), [
     (0o660, "tty", "this user may not open it, the group tty may", "sudo usermod -aG tty "),
     (0o620, "tty", "only root may open it", "a udev rule"),  # as a getty leaves it
@@ -124,19 +130,25 @@ def test_who_may_not_open_a_port_is_told_how_to(
     assert (found.level, found.text) == (Level.BAD, text) and found.remedy.startswith(remedy)
 
 
-def test_limits_of_the_user_decide_about_priority(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(os, "geteuid", lambda: 1000)
-    for allowed, level in ((0, Level.BAD), (39, Level.BAD), (40, Level.GOOD), (resource.RLIM_INFINITY, Level.GOOD)):
-        monkeypatch.setattr(resource, "getrlimit", lambda which, allowed=allowed: (allowed, allowed))
-        found = remarks(iter(doctor.examine_computer()))
-        assert found["priority"].level is level
-        assert ("rtprio 60" in found["priority"].remedy) is (level is Level.BAD)
+@pytest.mark.parametrize(("user", "allowed", "remedy"), [
+    (1000, 0, "'@dialout - rtprio 60'"), (1000, 39, "'@dialout - rtprio 60'"),
+    (1000, 40, "--cap-add SYS_NICE"), (1000, resource.RLIM_INFINITY, "--cap-add SYS_NICE"), (0, 0, "--cap-add SYS_NICE")])
+def test_a_priority_that_is_refused_has_a_remedy(
+        monkeypatch: pytest.MonkeyPatch, user: int, allowed: int, remedy: str) -> None:
+    """The limit's, or where that is high enough, the container's."""
+    monkeypatch.setattr(os, "geteuid", lambda: user)
+    monkeypatch.setattr(doctor, "_granted", lambda priority: False)
+    monkeypatch.setattr(resource, "getrlimit", lambda which: (allowed, allowed))
+    found = remarks(iter(doctor.examine_computer()))["priority"]
+    assert found.level is Level.BAD and remedy in found.remedy
+    monkeypatch.setattr(doctor, "_granted", lambda priority: True)
+    assert remarks(iter(doctor.examine_computer()))["priority"].level is Level.GOOD
 
 
 def test_a_virtual_wire_works_without_priority(wire: Segment, monkeypatch: pytest.MonkeyPatch) -> None:
     """On a pty the bus thread does not ask for it (`Realtime`)."""
-    monkeypatch.setattr(os, "geteuid", lambda: 1000)
-    monkeypatch.setattr(resource, "getrlimit", lambda which: (0, 0))
+    monkeypatch.setattr(doctor, "_granted", lambda priority: False)
+    monkeypatch.setattr(doctor, "lock", lambda blocks: errno.ENOMEM)
     found = examine(wire.port())
     noted = remarks(iter(found.remarks))
     assert found.works and noted["priority"].level is noted["memory"].level is Level.NOTE

@@ -221,7 +221,8 @@ static int do_realtime(void *object, void *argument)
     dpm_refusals *refusals = call->refusals;
     if (!worker->stack)
         return DPM_E_MODE;
-    refusals->priority = sched_setscheduler(0, parameter.sched_priority ? SCHED_FIFO : SCHED_OTHER, &parameter) < 0 ? errno : 0;
+    /* Not sched_setscheduler: musl has it for no thread. */
+    refusals->priority = pthread_setschedparam(pthread_self(), parameter.sched_priority ? SCHED_FIFO : SCHED_OTHER, &parameter);
     refusals->cpu = call->wish->cpu < 0 ? 0 : set_cpu(call->wish->cpu);
     refusals->lock = call->wish->lock ? lock_stack(worker) : 0;
     if (!call->wish->lock)
