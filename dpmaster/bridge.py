@@ -26,6 +26,7 @@ __all__ = ["Bridge"]
 SCHEMES = ("socket", "rfc2217")
 SLICE = 0.1  # s between two looks whether the end is wanted
 CHUNK = 512
+GONE = 4  # s without a sign of the converter
 
 
 def _is_url(url: object) -> bool:
@@ -34,6 +35,15 @@ def _is_url(url: object) -> bool:
         return parts is not None and parts.scheme in SCHEMES and bool(parts.hostname and parts.port)
     except ValueError:  # no port has such a number
         return False
+
+
+def _set_up(link: socket.socket) -> None:
+    """No telegram waits until the converter has acknowledged the one before: 40 ms (RFC 896, RFC 1122). One without power
+    closes no connection: it is given up when it acknowledges nothing, asked or not."""
+    link.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    for option, value in ((socket.TCP_NODELAY, 1), (socket.TCP_USER_TIMEOUT, GONE * 1000),
+                          (socket.TCP_KEEPIDLE, GONE), (socket.TCP_KEEPINTVL, 1), (socket.TCP_KEEPCNT, GONE)):
+        link.setsockopt(socket.IPPROTO_TCP, option, value)
 
 
 class Bridge:
@@ -47,11 +57,12 @@ class Bridge:
         whole("baudrate", baudrate, 1, 12_000_000)
         self.url = url
         try:
+            bound = GONE if urlsplit(url).scheme == "socket" else None  # pyserial's RFC 2217 has one of its own, 5 s
             self._line = serial.serial_for_url(url, do_not_open=True, baudrate=baudrate, parity=serial.PARITY_EVEN,
-                                               timeout=SLICE)
+                                               timeout=SLICE, write_timeout=bound)
             self._line.open()
-            # Else a telegram waits until the converter has acknowledged the one before: 40 ms (RFC 896, RFC 1122).
-            self._line._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # type: ignore[attr-defined]
+            self._link: socket.socket = self._line._socket  # type: ignore[attr-defined]
+            _set_up(self._link)
         except (serial.SerialException, OSError, ValueError) as error:
             raise PortError(f"{url}: {error}; is the converter on, and free?", path=url) from None
         self._pty, self._near = pty.openpty()  # its near end stays open here, so that a client's end is no hang-up
@@ -94,13 +105,14 @@ class Bridge:
             raise PortError(f"{self.url}: {self._failure}; is the converter still on?", path=self.url) from self._failure
 
     def close(self) -> None:
-        """Idempotent; the pty hangs up."""
+        """Idempotent; the pty hangs up. It takes some seconds where the converter has stopped to listen."""
         self._ended.set()
         for thread in self._threads:
             thread.join()
         self._threads = []
         if self._pty >= 0:
             self._line.close()
+            self._link.close()  # pyserial leaves one open that the other end has closed
             os.close(self._pty)
             os.close(self._near)
             self._pty = -1

@@ -103,6 +103,32 @@ def test_no_telegram_waits_for_the_acknowledgement_of_the_one_before(url: str) -
         assert bridge._line._socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
 
 
+def test_a_converter_without_power_is_noticed(url: str) -> None:
+    """Tcp(7): unacknowledged data for TCP_USER_TIMEOUT, or TCP_KEEPCNT probes without an answer, end a connection."""
+    with Bridge(url) as bridge:
+        link = bridge._line._socket
+        assert link.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE)
+        assert link.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) == 4000
+        found = [link.getsockopt(socket.IPPROTO_TCP, name)
+                 for name in (socket.TCP_KEEPIDLE, socket.TCP_KEEPINTVL, socket.TCP_KEEPCNT)]
+        assert found == [4, 1, 4]
+
+
+def test_a_converter_that_takes_no_more_ends_the_bridge(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And does not keep it from being closed."""
+    monkeypatch.setattr("dpmaster.bridge.GONE", 1)
+    with socket.create_server(("127.0.0.1", 0)) as server, Bridge(f"socket://127.0.0.1:{server.getsockname()[1]}") as bridge:
+        far, _ = server.accept()
+        near = os.open(bridge.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        while bridge._failure is None:
+            if select.select([], [near], [], 0.1)[1]:
+                os.write(near, bytes(4096))
+        with pytest.raises(PortError, match=r"is the converter still on\?"):
+            bridge.check()
+        os.close(near)
+        far.close()
+
+
 def test_a_bridge_leaves_nothing_behind(url: str) -> None:
     with nothing_left_behind():
         bridge = Bridge(url)
