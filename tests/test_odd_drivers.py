@@ -20,6 +20,7 @@ pytestmark = pytest.mark.tree
 
 HERE = Path(__file__).resolve().parent
 SC16IS752 = {"driver": "sc16is7xx", "major": "204", "base": "921600", "most": "921600"}  # sc16is7xx.c: uartclk / 16
+SC16IS752_24 = SC16IS752 | {"base": "1500000", "most": "1500000"}  # 24 MHz; its driver cuts its divisor off
 PL011 = {"driver": "uart-pl011", "major": "204", "base": "1500000", "most": "1500000"}
 FT232R = {"driver": "ftdi_sio", "major": "188", "base": "24000000", "most": "3000000"}
 CH340 = {"driver": "ch341-uart", "major": "188"}  # ch341.c never calls tty_encode_baud_rate
@@ -61,10 +62,11 @@ print(json.dumps([[rate.nominal for rate in port.rates() if rate.made is not Non
 
 @pytest.mark.parametrize(("driver", "made", "repeats"), [
     (SC16IS752, [9600, 19200], False),  # protocol page N.1: "14.7456 MHz crystal -> no 93.75k/500k"
+    (SC16IS752_24, [9600, 19200, 31250, 45450, 93750, 187500, 500000, 1500000], False),
     (PL011, [9600, 19200, 31250, 45450, 93750, 187500, 500000, 1500000], False),
     (FT232R, [9600, 19200, 31250, 45450, 93750, 187500, 500000, 1500000, 3000000], False),
     (CH340, [9600, 19200, 31250, 45450, 93750, 187500, 500000, 1500000, 3000000, 6000000, 12000000], True),
-], ids=["SC16IS752", "PL011", "FT232R", "CH340"])
+], ids=["SC16IS752", "SC16IS752 at 24 MHz", "PL011", "FT232R", "CH340"])
 def test_what_a_driver_says_of_its_rates_is_judged(
         played: Played, driver: dict[str, str], made: list[int], repeats: bool) -> None:
     assert played(driver, RATES) == [made, repeats]

@@ -130,9 +130,10 @@ static int detect_profile(dev_t device)
     return type == 166 || type == 188 ? DPM_PROFILE_USB : DPM_PROFILE_UART;
 }
 
+/* Of 500/11 kbit/s no more than the whole: a driver that cuts its divisor off would make 3 % more of a bit too much. */
 static uint32_t nominal_rate(const dpm_port_config *config)
 {
-    return (uint32_t)(((uint64_t)config->rate_num + config->rate_den / 2) / config->rate_den);
+    return config->rate_num / config->rate_den;
 }
 
 /* Whether the kernel's driver of the port has one of these names. Since Linux 6.5 two devices of the serial core lie between
@@ -154,16 +155,18 @@ static bool driven_by(const dpm_port *port, const char *const *names)
     return false;
 }
 
-/* The rate behind the one that the driver says. The plain 8250 and the SC16IS7xx divide their clock by a whole number and yet
- * tell what they were asked for; other drivers tell what they make, or nothing that could be computed. */
+/* The rate behind the one that the driver says. The plain 8250 and the SC16IS7xx divide their clock by a whole number, rounded
+ * or cut off, and yet tell what they were asked for; other drivers tell what they make, or nothing that could be computed. */
 static uint32_t real_rate(const dpm_port *port, uint32_t told)
 {
-    static const char *const plain[] = {"serial8250", "serial", "of_serial", "sc16is7xx", NULL};
+    static const char *const rounding[] = {"serial8250", "serial", "of_serial", NULL}, *const cutting[] = {"sc16is7xx", NULL};
+    const bool rounds = driven_by(port, rounding);
     struct serial_struct serial;
     memset(&serial, 0, sizeof serial);
-    if (port->pty || !told || ioctl(port->fd, TIOCGSERIAL, &serial) < 0 || serial.baud_base <= 0 || !driven_by(port, plain))
+    if (port->pty || !told || !(rounds || driven_by(port, cutting)) || ioctl(port->fd, TIOCGSERIAL, &serial) < 0 ||
+        serial.baud_base <= 0)
         return told;
-    uint32_t base = (uint32_t)serial.baud_base, divisor = (base + told / 2) / told;
+    uint32_t base = (uint32_t)serial.baud_base, divisor = (base + (rounds ? told / 2 : 0)) / told;
     return divisor ? base / divisor : base;
 }
 
