@@ -37,6 +37,7 @@ TCGETS2, TCSETS2, TIOCGRS485, TIOCSRS485 = 0x802C542A, 0x402C542B, 0x542E, 0x542
 RS485_ENABLED = 1
 NOBODY_MAKES = Fraction(100_000_000)  # bit/s; USB adapters of high speed end at 12 Mbit/s
 # What the serial core calls a UART that it has found, by the number in its file "type": include/uapi/linux/serial.h.
+NO_UART = "0"
 CHIPS = {"1": "8250", "2": "16450", "3": "16550", "4": "16550A", "6": "16650", "7": "16650V2", "8": "16750", "10": "16950"}
 
 
@@ -171,13 +172,20 @@ class Port:
 
 
 def ports() -> tuple[Port, ...]:
-    """The serial ports of this computer, by path; ptys are not among them. Entries of the kernel with no UART are left out."""
+    """The serial ports of this computer, by path; ptys are not among them. Entries of the kernel with no UART are left out.
+
+    pyserial goes by names, and leaves out the UARTs of many a board; the kernel knows them all (ttySC0 of a hat, ttymxc0).
+    """
+    paths = {str(entry.device) for entry in list_ports.comports()}
+    paths |= {f"/dev/{each.parent.name}" for each in TTYS.glob("*/device")}
     found = []
-    for entry in sorted(list_ports.comports(), key=lambda entry: str(entry.device)):
+    for path in sorted(paths):
         try:
-            found.append(Port.at(str(entry.device)))
+            port = Port.at(path)
         except PortError:  # gone since, or not for a program
-            pass
+            continue
+        if port.read("type") != NO_UART:
+            found.append(port)
     return tuple(found)
 
 

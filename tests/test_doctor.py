@@ -62,6 +62,19 @@ def test_ports_are_listed_as_a_person_and_as_a_program_reads_them(capsys: pytest
     assert [entry["path"] for entry in json.loads(capsys.readouterr().out)["ports"]] == [port.path for port in found]
 
 
+def test_the_uart_of_a_hat_is_listed_and_an_entry_without_one_is_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """pyserial 3.5 knows no ttySC0, and since Linux 6.5 takes each ttyS of the 8250 for a port."""
+    for name, kind in (("ttySC0", "108"), ("ttyS3", "0"), ("ttyUSB0", None)):  # PORT_SC16IS7XX, PORT_UNKNOWN; an adapter's none
+        (tmp_path / name / "device").mkdir(parents=True)
+        if kind:
+            (tmp_path / name / "type").write_text(f"{kind}\n")
+    (tmp_path / "tty1").mkdir()  # a console of the screen
+    monkeypatch.setattr("dpmaster.ports.TTYS", tmp_path)
+    monkeypatch.setattr("dpmaster.ports.list_ports", SimpleNamespace(comports=lambda: [SimpleNamespace(device="/dev/ttyS3")]))
+    monkeypatch.setattr(Port, "at", lambda path: Port(path, "uart", sys=tmp_path / Path(path).name))
+    assert [port.path for port in ports()] == ["/dev/ttySC0", "/dev/ttyUSB0"]
+
+
 @pytest.mark.parametrize(("node", "kind", "words"), [
     (None, "4", "16550A"), (None, "0", ""), ("arm,pl011\0arm,primecell\0", "32", "arm,pl011")])
 def test_a_uart_is_called_what_device_tree_or_driver_call_it(

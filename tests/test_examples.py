@@ -94,6 +94,15 @@ def test_a_service_that_is_told_to_end_before_there_is_a_drive_ends(wire: Segmen
     assert (program.returncode, "Traceback" in error) == (0, False), error
 
 
+def test_the_firmware_understands_what_the_raspberry_pi_page_gives_it() -> None:
+    """Raspberry Pi documentation, config.txt: one property=value a line, comments "by starting a line with the # character",
+    98 characters at most."""
+    page = (EXAMPLES.parent / "docs" / "raspberry-pi.md").read_text()
+    (lines,) = re.findall(r"^```\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+    for line in lines.splitlines():
+        assert len(line) <= 98 and re.fullmatch(r"# .*|#?\w+=[\w,=-]+", line), line
+
+
 def test_the_unit_is_one_that_systemd_reads(tmp_path: Path) -> None:
     """With a program that is there. What is bound to a device comes back only if the device wants it."""
     text = (EXAMPLES / "dpmaster.service").read_text()

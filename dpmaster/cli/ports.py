@@ -27,7 +27,8 @@ def run(args: argparse.Namespace) -> int:
     found = ports()
     if args.json:
         print(json.dumps({"ports": [{"path": port.path, "kind": port.kind, "driver": port.driver, "links": port.links,
-                                     "description": port.description, "console": port.console} for port in found]}))
+                                     "description": port.description, "console": port.console,
+                                     "permitted": port.permitted} for port in found]}))
     else:
         print("\n".join(map(line, found)) or "no serial ports; 'dpmaster segment' makes virtual ones")
     return 0
