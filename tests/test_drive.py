@@ -14,7 +14,7 @@ from drive_bench import VirtualSIP3, VirtualV7
 
 from dpmaster.drives import Drive, DriveStatus, YaskawaSIP3, YaskawaV7
 from dpmaster.emulator.cards import SIP1, SIP3
-from dpmaster.errors import ConfigurationError, DPTimeout, StationError
+from dpmaster.errors import ConfigurationError, DPError, DPTimeout, StationError
 from dpmaster.profiles import yaskawa_1000 as profile
 from dpmaster.profiles.yaskawa_v7 import Command
 
@@ -179,6 +179,24 @@ def test_requests_are_served_in_the_order_they_came() -> None:
     for thread in threads:
         thread.join(30.0)
     assert order == list(range(10))
+
+
+def test_a_signals_handler_in_the_middle_of_an_access_is_told_so_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its request would wait for the one that it interrupts. That one goes on, where the handler deals with the error."""
+    drive = v7()
+    update, refused = drive.update, []
+
+    def signalled(*arguments: Any) -> int:
+        with pytest.raises(DPError, match=r"in an access already.*signal.*ask behind the access, or in another thread"):
+            drive.read_parameter("n004")
+        refused.append(True)
+        return update(*arguments)
+
+    monkeypatch.setattr(drive, "update", signalled)
+    assert drive.read_parameter("n003") == 3
+    assert len(refused) > 2
+    monkeypatch.undo()
+    assert drive.read_parameter("n004") == drive.card.registers["n004"]
 
 
 @pytest.mark.parametrize("name", [name for name in BENCHES if re.search(r"Extended|Type [125]", name)])

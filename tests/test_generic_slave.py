@@ -23,7 +23,7 @@ from gsd_files import path as gsd_path
 from slave_rig import octets, telegram
 from waiting import until
 
-from dpmaster import ClosedError, ConfigurationError, DPTimeout, Master, Station, StationState
+from dpmaster import ClosedError, ConfigurationError, DPError, DPTimeout, Master, Station, StationState
 from dpmaster.cli import main
 from dpmaster.emulator import Exchange, Habits, Segment, SlaveState, blocks
 from dpmaster.emulator.cards import SIP1, GenericSlave
@@ -157,6 +157,14 @@ def test_on_change_may_set_inputs_that_go_with_the_same_step() -> None:
     for _ in range(3):
         assert slave.step(0.0, exchanging(octets("01 02 03 04"))) == octets("FE FD FC FB")
     assert seen == [octets("01 02 03 04")], "a step without a change is none"
+
+
+def test_on_change_cannot_wait_for_itself() -> None:
+    """It would for ever: the change is told by the thread that is in it."""
+    slave = GenericSlave(5, IDENT, b"\x33", on_change=lambda slave: slave.wait(lambda s: False, None))
+    with pytest.raises(DPError, match=r"wait\(\) in on_change.*look at `outputs` there, or wait in a thread of your own"):
+        slave.step(0.0, exchanging(octets("01 02 03 04")))
+    slave.wait(lambda s: s.outputs == octets("01 02 03 04"), 0)
 
 
 def test_power_off_forgets_inputs_and_diagnosis() -> None:

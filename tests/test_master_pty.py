@@ -441,14 +441,18 @@ def test_no_output_watchdog_is_logged(wire: Segment, card: Echo, caplog: pytest.
 # ---- signals
 
 
-@pytest.mark.parametrize("call", [
-    lambda s: setattr(s, "outputs", b"news"), lambda s: s.outputs, lambda s: s.frame,
-], ids=["commit", "outputs", "frame"])
-def test_a_signals_handler_may_do_what_it_interrupted(running: Station, call: Callable[[Station], object]) -> None:
+@pytest.mark.parametrize(("behind", "call"), [
+    ("dpm_outputs_change", lambda s: setattr(s, "outputs", b"news")),
+    ("dpm_outputs_peek", lambda s: s.outputs),
+    ("dpm_image_read", lambda s: s.frame),
+    ("dpm_bus_request", lambda s: s.get_cfg(None)),
+    ("dpm_bus_order", lambda s: master_of(s).global_control(clear=True, timeout=None)),
+])
+def test_a_signals_handler_may_do_what_it_interrupted(running: Station, behind: str, call: Callable[[Station], object]) -> None:
     done = threading.Event()
 
     def handle(_frame: Any, event: str, function: Any) -> None:
-        if event == "c_return" and function.__name__.startswith("dpm_"):  # there Python looks for signals
+        if event == "c_return" and function.__name__ == behind:  # there Python looks for signals
             sys.setprofile(None)
             call(running)
 

@@ -108,8 +108,11 @@ class Channel(ABC):
     @contextmanager
     def _turn(self) -> Iterator[None]:
         """Wait until the requests that came before are through; each of them ends, by its own time-out at the latest. Who
-        was given up leaves the queue."""
-        ticket = object()
+        was given up leaves the queue. A thread that stands in it is in a signal's handler now, and would wait for itself."""
+        ticket = _errand.here.thread
+        if ticket in self._queue:
+            raise DPError("parameter channel: this thread is in an access already, and a signal's handler cannot wait: let it "
+                          "leave a note (threading.Event) and ask behind the access, or in another thread")
         try:
             with self._moved:
                 self._queue.append(ticket)

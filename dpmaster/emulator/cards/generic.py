@@ -18,7 +18,7 @@ from typing import Any, Self
 from dpmaster import _arguments
 from dpmaster._errand import SLICE
 from dpmaster.emulator.card import Card, Exchange, Habits, Slave, SlaveState
-from dpmaster.errors import ClosedError, ConfigurationError, DPTimeout
+from dpmaster.errors import ClosedError, ConfigurationError, DPError, DPTimeout
 from dpmaster.gsd import GSD
 from dpmaster.gsd.configuration import Chosen
 from dpmaster.gsd.model import plain
@@ -111,6 +111,7 @@ class GenericSlave(Card):
         self._diagnosis: tuple[bytes, bool, bool, bool] | None = None
         self._ready = True
         self._gone = False
+        self._telling: int | None = None  # the thread that is in `on_change`
 
     @classmethod
     def from_gsd(cls, gsd: GSD | str | PathLike[str], modules: Iterable[Chosen] | None = None, *, address: int,
@@ -230,9 +231,12 @@ class GenericSlave(Card):
     def wait(self, predicate: Callable[[Self], bool], timeout: float | None = 1.0) -> None:
         """Wait until `predicate(slave)` is true; it is asked now and after every change of outputs or state.
 
-        Raises DPTimeout after `timeout` s (None: never), ClosedError when the wire is closed. Not to be called by `on_change`.
+        Raises DPTimeout after `timeout` s (None: never), ClosedError when the wire is closed, DPError in `on_change`.
         """
         _arguments.timeout(timeout)
+        if self._telling == threading.get_ident():
+            raise DPError(f"{self}: wait() in on_change would wait for the thread that is in it: look at `outputs` there, "
+                          "or wait in a thread of your own")
         deadline = math.inf if timeout is None else time.monotonic() + timeout
         seen = None
         while seen is not self._exchange:
@@ -276,7 +280,11 @@ class GenericSlave(Card):
                 self._inputs[: len(self.outputs)] = self.outputs[: len(self._inputs)]
             self._changed.notify_all()
         if changed and self.on_change is not None:
-            self.on_change(self)
+            self._telling = threading.get_ident()
+            try:
+                self.on_change(self)
+            finally:
+                self._telling = None
         return self.inputs
 
     def next_step(self, now: float) -> float:
