@@ -21,10 +21,12 @@ typedef struct probe {
     uint64_t timeouts;
     uint64_t failed;
     uint64_t early;      /* requests that went out before their time */
+    uint64_t hasty;      /* requests that went out otherwise than straight after an empty read and a question */
     /* State. */
     int64_t next;
     int64_t deadline;    /* 0: no answer is awaited */
     uint64_t got;
+    int64_t questions;   /* since the last empty read; -1: something came or went since */
 } probe;
 
 static void finish(probe *p, uint64_t *count, int64_t now)
@@ -38,6 +40,7 @@ static void finish(probe *p, uint64_t *count, int64_t now)
 static void octets(dpm_machine *machine, const dpm_span *span)
 {
     probe *p = (probe *)machine;
+    p->questions = -1;
     if (!p->deadline)
         return;
     p->got += span->n;
@@ -48,6 +51,7 @@ static void octets(dpm_machine *machine, const dpm_span *span)
 static void quiet(dpm_machine *machine, int64_t until)
 {
     probe *p = (probe *)machine;
+    p->questions = 0;
     if (p->deadline && until >= p->deadline)
         finish(p, &p->timeouts, until);
 }
@@ -57,6 +61,8 @@ static void sent(dpm_machine *machine, int64_t start, int64_t end_earliest, int6
     probe *p = (probe *)machine;
     (void)end_earliest;
     p->early += start < p->next;
+    p->hasty += p->questions != 1;
+    p->questions = -1;
     p->got = 0;
     if (result == DPM_SENT_FAILED)
         finish(p, &p->failed, end_latest);
@@ -70,6 +76,8 @@ static void ask(dpm_machine *machine, int64_t now, dpm_offer *offer)
 {
     probe *p = (probe *)machine;
     p->asks++;
+    if (p->questions >= 0)
+        p->questions++;
     memset(offer, 0, sizeof *offer);
     offer->wake = p->deadline ? p->deadline : DPM_NEVER;
     if (p->deadline || p->pause < 0)
@@ -89,11 +97,12 @@ probe *probe_new(const uint8_t *request, size_t n, size_t answer, int64_t pause,
     p->answer = answer;
     p->pause = pause;
     p->patience = patience;
+    p->questions = -1;
     return p;
 }
 
 uint64_t probe_count(const probe *p, int which)
 {
-    const uint64_t counts[] = {p->asks, p->exchanges, p->timeouts, p->failed, p->early};
+    const uint64_t counts[] = {p->asks, p->exchanges, p->timeouts, p->failed, p->early, p->hasty};
     return counts[which];
 }

@@ -70,7 +70,8 @@ class Bus:
         return int(lib.dpm_bus_start(self.bus, ffi.cast("dpm_machine *", self.probe), ffi.NULL))
 
     def count(self, which: str) -> int:
-        return int(self.probes.probe_count(self.probe, ["asks", "exchanges", "timeouts", "failed", "early"].index(which)))
+        counts = ["asks", "exchanges", "timeouts", "failed", "early", "hasty"]
+        return int(self.probes.probe_count(self.probe, counts.index(which)))
 
     @property
     def info(self) -> Any:
@@ -152,6 +153,16 @@ def test_an_answer_in_pieces_is_one_exchange(opened: Opener) -> None:
         os.write(bus.far, bytes([octet]))
     assert read_whole(bus.far, len(REQUEST)) == REQUEST  # only a whole answer brings the next one
     assert bus.count("exchanges") == 1
+
+
+@pytest.mark.parametrize("pause", [0, MS])
+@pytest.mark.parametrize("patience", [0, MS, BOUND])
+def test_a_telegram_goes_out_only_straight_after_an_empty_read_and_a_second_question(opened: Opener, pause: int,
+                                                                                     patience: int) -> None:
+    """machine.h: "An offer whose time has come: read once more; if that brought octets, report them and ask again."""
+    bus = opened(pause=pause, patience=patience)
+    bus.answer(20)  # or what comes while none is awaited
+    assert bus.count("hasty") == 0
 
 
 def test_silence_is_reported_past_the_deadline(opened: Opener) -> None:
