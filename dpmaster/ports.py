@@ -34,7 +34,7 @@ TTYS = Path("/sys/class/tty")
 LEVELS = ("device", "device/..", "device/../..")  # since Linux 6.5 two devices of the serial core lie in between
 SERIAL_CORE = ("port", "ctrl")
 TCGETS2, TCSETS2, TIOCGRS485, TIOCSRS485 = 0x802C542A, 0x402C542B, 0x542E, 0x542F
-RS485_ENABLED = 1
+RS485_ENABLED, MODE_RS422 = 0x001, 0x200
 NOBODY_MAKES = Fraction(100_000_000)  # bit/s; USB adapters of high speed end at 12 Mbit/s
 # What the serial core calls a UART that it has found, by the number in its file "type": include/uapi/linux/serial.h.
 NO_UART = "0"
@@ -151,7 +151,8 @@ class Port:
         try:
             with self._kept(TCGETS2, TCSETS2, 44), self._kept(TIOCGRS485, TIOCSRS485, 32) as before:
                 can = self._try(Fraction(9600), lib.DPM_DIRECTION_RS485) is not None
-                return can, bool(struct.unpack_from("I", before)[0] & RS485_ENABLED)
+                (flags,) = struct.unpack_from("I", before)
+                return can, flags & (RS485_ENABLED | MODE_RS422) == RS485_ENABLED
         except PortError:
             raise
         except OSError:  # it does not know the question

@@ -10,10 +10,12 @@ import os
 import pty
 import resource
 import stat
+import struct
 import termios
 import threading
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -190,6 +192,14 @@ def test_the_doctor_leaves_a_line_as_it_was() -> None:
     finally:
         os.close(far)
         os.close(near)
+
+
+@pytest.mark.parametrize(("flags", "does"), [(0x000, False), (0x003, True), (0x201, False)])
+def test_a_port_in_rs422_mode_does_not_switch_its_direction(monkeypatch: pytest.MonkeyPatch, flags: int, does: bool) -> None:
+    """Protocol page N.2: ENABLED 1; include/uapi/linux/serial.h: SER_RS485_MODE_RS422 is bit 9 (Linux 6.8)."""
+    monkeypatch.setattr(Port, "_kept", lambda *_: nullcontext(struct.pack("8I", flags, *bytes(7))))
+    monkeypatch.setattr(Port, "_try", lambda *_: 9600)
+    assert Port("/dev/ttyS7", "uart").rs485() == (True, does)
 
 
 def test_a_bus_without_telegrams_is_another_rate_or_exchanged_wires(wire: Segment) -> None:

@@ -53,6 +53,10 @@ static const dpm_port_traits profiles[] = {
     [DPM_PROFILE_PTY] = {INT64_C(25000000), INT64_C(5000000), 0, false},   /* wake-up of two processes under load */
 };
 
+/* Linux 6.8, where the headers may be older: with ENABLED it makes the port an RS-422 one, whose transmitter never leaves
+ * the line, and the levels of RTS are dropped. */
+#define MODE_RS422 (1u << 9)
+
 /* Our last transmission, while its echo may come. */
 typedef struct echo_filter {
     uint8_t octets[ECHO_MAX];
@@ -206,20 +210,21 @@ static int set_line(dpm_port *port)
 /* Only what is meant is set; a termination that the device tree has switched on stays. Delays are whole milliseconds,
  * longer than a slot time: none. Whether the receiver is on while sending stays, too, unless it was said whether there is an
  * echo: one that is expected and never comes is a deaf port, one that is not would be somebody's telegram. Some drivers
- * take what they cannot do. */
+ * take what they cannot do, and some stay in RS-422 mode. */
 static int set_direction(dpm_port *port)
 {
     const uint32_t levels = SER_RS485_RTS_ON_SEND | SER_RS485_RTS_AFTER_SEND;
+    const uint32_t kind = SER_RS485_ENABLED | MODE_RS422;
     struct serial_rs485 mode;
     memset(&mode, 0, sizeof mode);
     const bool known = ioctl(port->fd, TIOCGRS485, &mode) == 0;
     struct serial_rs485 before = mode;
     if (port->config.direction == DPM_DIRECTION_AUTO) {
-        port->info.rs485 = known && (mode.flags & SER_RS485_ENABLED);
+        port->info.rs485 = known && (mode.flags & kind) == SER_RS485_ENABLED;
         return DPM_OK;
     }
     const uint32_t level = port->config.direction == DPM_DIRECTION_RS485 ? SER_RS485_RTS_ON_SEND : SER_RS485_RTS_AFTER_SEND;
-    mode.flags = (mode.flags & ~levels) | SER_RS485_ENABLED | level;
+    mode.flags = (mode.flags & ~(levels | kind)) | SER_RS485_ENABLED | level;
     if (port->config.echo == DPM_ECHO_ON)
         mode.flags |= SER_RS485_RX_DURING_TX;
     if (port->config.echo == DPM_ECHO_OFF)
@@ -227,7 +232,7 @@ static int set_direction(dpm_port *port)
     mode.delay_rts_before_send = mode.delay_rts_after_send = 0;
     if (ioctl(port->fd, TIOCSRS485, &mode) < 0 || ioctl(port->fd, TIOCGRS485, &mode) < 0)
         return errno == EPERM || errno == EACCES ? DPM_E_PERMISSION : DPM_E_RS485;
-    port->info.rs485 = (mode.flags & (SER_RS485_ENABLED | levels)) == (SER_RS485_ENABLED | level);
+    port->info.rs485 = (mode.flags & (kind | levels)) == (SER_RS485_ENABLED | level);
     if (!port->info.rs485) /* the wrong level would keep the transceiver sending */
         (void)ioctl(port->fd, TIOCSRS485, &before);
     return port->info.rs485 ? DPM_OK : DPM_E_RS485;
