@@ -16,13 +16,14 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from dpmaster._core import NS, block, ffi, lib
-from dpmaster.bus import direction_code, port_error
+from dpmaster._core import NS, ffi, lib
+from dpmaster.bus import port_error
 from dpmaster.errors import ConfigurationError, DPError, StationError
 from dpmaster.listener import Listener
 from dpmaster.live import Live
 from dpmaster.master import Master, Service
 from dpmaster.parameters import BAUDRATES, TSL_MAX, BusParameters
+from dpmaster.ports import opened
 from dpmaster.telegram import Telegram
 
 __all__ = ["Calibration", "calibrate"]
@@ -86,11 +87,11 @@ def calibrate(port: str, baudrate: int = 500_000, *, address: int = 1, station: 
     usual = _alone(port, baudrate)
     made = _rate(port, baudrate, direction)
     once = replace(BusParameters.default(baudrate), max_retry_limit=0)
-    opened = partial(Master, port, address=address, parameters=once, ring=False, direction=direction)
+    measuring = partial(Master, port, address=address, parameters=once, ring=False, direction=direction)
     if station is None:
-        with opened(allowance=min(1.0, SEARCH * usual)) as master:
+        with measuring(allowance=min(1.0, SEARCH * usual)) as master:
             station = _whom(master, said)
-    with opened(allowance=min(1.0, PATIENCE * usual)) as master:
+    with measuring(allowance=min(1.0, PATIENCE * usual)) as master:
         late = _by_echo(master, count) if station == NOBODY else _by_answers(master, station, count)
     late.sort()
     worst = late[-1]
@@ -167,18 +168,11 @@ def _by_echo(master: Master, count: int) -> list[float]:
 def _rate(port: str, baudrate: int, direction: str | None) -> float | None:
     """bit/s, from how long the driver takes for telegrams that nobody answers: SDN to an address nobody has."""
     rate = BusParameters.default(baudrate).rate
-    path = ffi.new("char[]", str(port).encode())
-    config = ffi.new("dpm_port_config *", {"path": path, "rate_num": rate.numerator, "rate_den": rate.denominator,
-                                           "direction": direction_code(direction), "allowance": -1})
-    memory, out, took = block(lib.dpm_port_size()), ffi.new("dpm_port **"), ffi.new("int64_t *")
-    code = lib.dpm_port_open(memory, len(memory), config, out)
-    if code < 0:
-        raise port_error(str(port), code)
-    octets = _telegram() * math.ceil(SPAN * float(rate) / 11 / 255)
-    code = lib.dpm_port_measure(out[0], octets, len(octets), 20 * NS, took)
-    lib.dpm_port_close(out[0])
+    octets, took = _telegram() * math.ceil(SPAN * float(rate) / 11 / 255), ffi.new("int64_t *")
+    with opened(port, rate, direction) as line:
+        code = lib.dpm_port_measure(line, octets, len(octets), 20 * NS, took)
     if code == lib.DPM_E_GONE:
-        raise port_error(str(port), code)
+        raise port_error(port, code)
     return None if code < 0 else len(octets) * 11 * NS / took[0]
 
 

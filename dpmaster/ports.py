@@ -18,12 +18,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 from serial.tools import list_ports
 
 from dpmaster import _arguments
 from dpmaster._core import block, ffi, lib
-from dpmaster.bus import port_error
+from dpmaster.bus import direction_code, port_error
 from dpmaster.errors import PortError
 from dpmaster.parameters import BAUDRATES, BusParameters
 
@@ -132,25 +133,22 @@ class Port:
         except OSError as error:
             raise port_error(self.path, lib.DPM_E_IN_USE if error.errno == errno.EBUSY else lib.DPM_E_NO_PORT) from None
 
-    def _try(self, rate: Fraction, direction: int = lib.DPM_DIRECTION_AUTO) -> int | None:
-        path = ffi.new("char[]", os.fsencode(self.path))
-        config = ffi.new("dpm_port_config *", {"path": path, "rate_num": rate.numerator, "rate_den": rate.denominator,
-                                               "direction": direction, "allowance": -1})
-        memory, out, info = block(lib.dpm_port_size()), ffi.new("dpm_port **"), ffi.new("dpm_port_info *")
-        code = lib.dpm_port_open(memory, len(memory), config, out)
-        if code in (lib.DPM_E_RATE, lib.DPM_E_RS485):
-            return None
-        if code < 0:
-            raise port_error(self.path, code)
-        lib.dpm_port_get_info(out[0], info)
-        lib.dpm_port_close(out[0])
+    def _try(self, rate: Fraction, direction: str | None = None) -> int | None:
+        info = ffi.new("dpm_port_info *")
+        try:
+            with opened(self.path, rate, direction) as port:
+                lib.dpm_port_get_info(port, info)
+        except PortError as error:
+            if error.dpm_code in (lib.DPM_E_RATE, lib.DPM_E_RS485):
+                return None
+            raise
         return int(info.rate)
 
     def rs485(self) -> tuple[bool, bool]:
         """Whether the driver can switch the direction, and whether it does already. What it was set to is put back."""
         try:
             with self._kept(TCGETS2, TCSETS2, 44), self._kept(TIOCGRS485, TIOCSRS485, 32) as before:
-                can = self._try(Fraction(9600), lib.DPM_DIRECTION_RS485) is not None
+                can = self._try(Fraction(9600), "rs485") is not None
                 (flags,) = struct.unpack_from("I", before)
                 return can, flags & (RS485_ENABLED | MODE_RS422) == RS485_ENABLED
         except PortError:
@@ -161,15 +159,35 @@ class Port:
     @contextmanager
     def _kept(self, get: int, put: int, size: int) -> Iterator[bytes]:
         """What the driver says to the ioctl `get`, and is told again in the end: somebody may use the port, or a console."""
-        fd = os.open(self.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
+        fds: list[int] = []
         try:
-            before = fcntl.ioctl(fd, get, bytes(size))
+            # In one call: what a Ctrl-C while the port is opened leaves behind has its place already.
+            fds.extend(map(os.open, (self.path,), (os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC,)))
+            before = fcntl.ioctl(fds[0], get, bytes(size))
             try:
                 yield before
             finally:
-                fcntl.ioctl(fd, put, before)
+                fcntl.ioctl(fds[0], put, before)
         finally:
-            os.close(fd)
+            for fd in fds:
+                os.close(fd)
+
+
+@contextmanager
+def opened(path: str, rate: Fraction, direction: str | None) -> Iterator[Any]:
+    """A ``dpm_port`` of one's own, without a thread. Raises PortError, ConfigurationError."""
+    where = ffi.new("char[]", os.fsencode(path))
+    config = ffi.new("dpm_port_config *", {"path": where, "rate_num": rate.numerator, "rate_den": rate.denominator,
+                                           "direction": direction_code(direction), "allowance": -1})
+    memory, out = block(lib.dpm_port_size()), ffi.new("dpm_port **")
+    try:
+        code = lib.dpm_port_open(memory, len(memory), config, out)  # a Ctrl-C meanwhile is raised behind it
+        if code < 0:
+            raise port_error(path, code)
+        yield out[0]
+    finally:
+        if out[0]:
+            lib.dpm_port_close(out[0])
 
 
 def ports() -> tuple[Port, ...]:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import gc
+import inspect
 import sys
 from collections.abc import Callable
 from contextlib import suppress
@@ -18,7 +19,9 @@ def interrupted(call: Callable[[], object], at: int) -> bool:
 
     def look(frame: Any, event: str, _: object) -> None:
         nonlocal left
-        if event in ("call", "c_return") and "dpmaster" in frame.f_code.co_filename:
+        # A signal is raised inside of a generator that goes on, what is raised here would leave it without its `finally`.
+        resumed = event == "call" and frame.f_code.co_flags & inspect.CO_GENERATOR
+        if event in ("call", "c_return") and not resumed and "dpmaster" in frame.f_code.co_filename:
             left -= 1
             if not left:
                 sys.setprofile(None)

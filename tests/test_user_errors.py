@@ -12,6 +12,7 @@ import os
 import subprocess
 import threading
 import time
+import weakref
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -35,10 +36,12 @@ from dpmaster import (
     Realtime,
     Station,
     StationState,
+    calibration,
 )
 from dpmaster.drives import YaskawaV7
 from dpmaster.emulator import Line, Segment
 from dpmaster.emulator.cards import SIP1
+from dpmaster.ports import Port
 
 CONFIGURATION = b"\x33"  # 4 octets each way
 PATIENCE = 20.0  # s; only a failing test waits so long
@@ -385,6 +388,44 @@ def test_closing_a_wire_again_does_what_ctrl_c_has_kept_it_from() -> None:
         assert descriptors() <= before and wire.info.transmissions == 0, f"look {at}"
         at += 1
     assert at > 10
+
+
+@pytest.mark.parametrize("look", [
+    lambda path: calibration._rate(path, 500_000, None), lambda path: Port(path, "uart").rates(),
+    lambda path: Port(path, "uart").rs485()], ids=["calibrate", "rates", "rs485"])
+def test_ctrl_c_at_any_moment_of_a_look_at_a_port_leaves_it_to_the_next(wire: Segment, look: Callable[[str], object]) -> None:
+    path, at = wire.port(), 1
+    before = descriptors()
+    while interrupted(lambda: look(path), at):
+        assert descriptors() <= before, f"look {at}"
+        at += 1
+    assert at > 5
+
+
+def test_ctrl_c_at_any_moment_of_the_opening_of_a_wire_leaves_nothing() -> None:
+    """The last of them lies before its `with`."""
+    before, at, made, came = descriptors(), 1, list[Segment](), True
+    while came:
+        came = interrupted(lambda: made.append(Segment(ports=1)), at)
+        made.clear()
+        gc.collect()
+        assert descriptors() <= before, f"look {at}"
+        at += 1
+    assert at > 10
+
+
+@pytest.mark.parametrize("use", [
+    lambda wire: wire.port(), lambda wire: wire.attach(SIP1(5)), lambda wire: Line(wire.port(), SIP1(5), baudrate=500_000)],
+    ids=["port", "card", "line"])
+def test_a_wire_that_nobody_has_any_more_is_closed(use: Callable[[Segment], object]) -> None:
+    """Who has its port or a card on it has the wire, too."""
+    with nothing_left_behind():
+        wire = Segment()
+        used, gone = use(wire), weakref.ref(wire)
+        del wire
+        gc.collect()
+        assert gone() is not None
+        del used
 
 
 @pytest.mark.parametrize("step", ["open", "start", "realtime"])

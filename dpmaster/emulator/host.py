@@ -9,11 +9,12 @@ that asks for a step at once (`Slave.refresh`) gets it in the thread that asks, 
 
 from __future__ import annotations
 
-import atexit
 import logging
 import threading
 import time
+import weakref
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, Self, TypeVar
@@ -196,8 +197,21 @@ def slave_config(card: Card) -> Any:
     return config
 
 
+def _finish(host: weakref.ref[Host], process: Process, close: Callable[[Any], object], opened: Any, kept: list[Any]) -> None:
+    """The end of a host that was not closed: at the program's end, or when nobody has it any more. `kept` is the memory that
+    the library's thread uses: an argument outlives it, in whatever order a cycle is collected."""
+    found = host()
+    if found is not None:
+        found.close()
+    elif process.here and opened[0]:
+        close(opened[0])
+
+
 class Host(ABC):
-    """Cards and the thread of their applications. A sub-class opens what the slaves answer on and closes it."""
+    """Cards and the thread of their applications. A sub-class opens what the slaves answer on and closes it.
+
+    Who has one of its cards, or a segment's port, has the host; one that nobody has any more is closed.
+    """
 
     _rate: int  # bit/s of the wire
     _room: str  # the library's room whose functions carry this host: "dpm_segment" or "dpm_bus"
@@ -210,11 +224,20 @@ class Host(ABC):
         self._closed = False  # or about to be
         self._ended = False
         self._thread: threading.Thread | None = None
-        self._opened: Any = (None,)  # where the library's open call puts its object
+        self._kept: list[Any] = []
+        # Where the library's open call puts its object. It has its finaliser first: a Ctrl-C is raised behind that call.
+        self._opened = ffi.new(f"{self._room} **")
+        self._finish = weakref.finalize(self, _finish, weakref.ref(self), self._process, getattr(lib, f"{self._room}_close"),
+                                        self._opened, self._kept)
 
     @property
     def _object(self) -> Any:
         return self._opened[0]
+
+    def _keep(self, size: int) -> Any:
+        """A block that lives as long as the library's thread at least."""
+        self._kept.append(block(size))
+        return self._kept[-1]
 
     # --- what a sub-class does
 
@@ -241,7 +264,7 @@ class Host(ABC):
         self._guard()
         config = slave_config(card)
         size = lib.dpm_image_size()
-        memory = block(size), block(size)
+        memory = self._keep(size), self._keep(size)
         slot = Slot(card, Exchange(baudrate=self._rate), memory, *(lib.dpm_image_init(at, size) for at in memory))
         with self._lock:
             if any(other.card.address == card.address for other in self._slots):
@@ -345,27 +368,19 @@ class Host(ABC):
 
     def _begin(self) -> None:
         """Start the applications; the library's object is there."""
-        # Not a thread that the interpreter waits for: those are joined before atexit, where this one is told to end.
-        self._thread = threading.Thread(target=self._run, name="dpmaster-cards", daemon=True)
+        # Not a thread that the interpreter waits for: those are joined before the finalisers run, which tell this one to end.
+        self._thread = threading.Thread(target=_run, args=(weakref.ref(self), self._room, self._opened, self._kept),
+                                        name="dpmaster-cards", daemon=True)
         for slot in self._slots:
             slot.card.attached(Handle(self, slot))
         self._thread.start()
-        atexit.register(self.close)
 
-    def _run(self) -> None:
-        progress, wait = getattr(lib, f"{self._room}_progress"), getattr(lib, f"{self._room}_wait")
-        seen = None
-        while not self._closed:
-            count = progress(self._object)  # before the look: what changes from here on ends the wait at once
-            until = time.monotonic() + IDLE
-            for slot in list(self._slots):
-                until = min(until, self._live(slot, count != seen))
-            seen = count
-            code = wait(self._object, seen, max(1, int((until - time.monotonic()) * NS)))
-            if code not in (lib.DPM_OK, lib.DPM_E_TIMEOUT, lib.DPM_E_INTERRUPTED):
-                if not self._closed:
-                    self._failures.append(error(code, f"the cards of this {type(self).__name__} stopped"))
-                break
+    def _live_all(self, changed: bool) -> float:
+        """Let each card live that wants to; returns when the first wants to again."""
+        until = time.monotonic() + IDLE
+        for slot in list(self._slots):
+            until = min(until, self._live(slot, changed))
+        return until
 
     def _live(self, slot: Slot, changed: bool) -> float:
         """Step one card if it is due or its exchange changed; returns when it wants to live again."""
@@ -410,7 +425,7 @@ class Host(ABC):
             self._thread.join(JOIN)
             if self._thread.is_alive():
                 log.error("a card's step does not return; its thread is left behind")
-        atexit.unregister(self.close)
+        self._finish.detach()
 
     def __enter__(self) -> Self:
         self._guard()
@@ -423,3 +438,18 @@ class Host(ABC):
             if value is None:
                 raise
             # The block's own exception tells more; the card's was logged when it happened.
+
+
+def _run(host: weakref.ref[Host], room: str, opened: Any, kept: list[Any]) -> None:
+    """The application thread. It has its host only while it steps the cards, and the memory (`kept`) as long as it waits."""
+    progress, wait = getattr(lib, f"{room}_progress"), getattr(lib, f"{room}_wait")
+    seen, code = None, int(lib.DPM_OK)
+    while (found := host()) is not None and not found._closed:
+        if code not in (lib.DPM_OK, lib.DPM_E_TIMEOUT, lib.DPM_E_INTERRUPTED):
+            found._failures.append(error(code, f"the cards of this {type(found).__name__} stopped"))
+            break
+        count = progress(opened[0])  # before the look: what changes from here on ends the wait at once
+        until = found._live_all(count != seen)
+        seen = count
+        del found
+        code = wait(opened[0], seen, max(1, int((until - time.monotonic()) * NS)))

@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any
 
 from dpmaster import _arguments
-from dpmaster._core import block, check, ffi, lib
+from dpmaster._core import check, ffi, lib
 from dpmaster.bus import allowance_ns, direction_code, port_error
 from dpmaster.emulator.card import Card
 from dpmaster.emulator.host import Host, bus_parameters, describe
@@ -43,7 +43,7 @@ class Line(Host):
             check(lib.dpm_bus_start_slaves(self._object, self._slaves), "start a line")
             info = self._info()
             self.scheduling = schedule(realtime, info.port.profile != lib.DPM_PROFILE_PTY,
-                                       partial(self._call, "realtime"), [self._block, self._slaves_block],
+                                       partial(self._call, "realtime"), list(self._kept),
                                        f"the line on {self._path}")
             self._begin()
         except BaseException:
@@ -56,9 +56,7 @@ class Line(Host):
         config.rate_num, config.rate_den = parameters.rate_num, parameters.rate_den
         config.pace = {None: lib.DPM_PACE_AUTO, False: lib.DPM_PACE_NONE, True: lib.DPM_PACE_BAUD}[paced]
         size = lib.dpm_bus_size()
-        self._block = block(size)
-        self._opened = ffi.new("dpm_bus **")
-        code = lib.dpm_bus_open(self._block, size, config, self._opened)
+        code = lib.dpm_bus_open(self._keep(size), size, config, self._opened)
         if code < 0:
             raise port_error(self._path, code)
 
@@ -66,9 +64,8 @@ class Line(Host):
         traits = ffi.new("dpm_port_traits *")
         lib.dpm_bus_get_traits(self._object, traits)
         size = lib.dpm_slaves_size(count)
-        self._slaves_block = block(size)
         out = ffi.new("dpm_slaves **")
-        check(lib.dpm_slaves_init(self._slaves_block, size, parameters, traits, count, out), "make slaves")
+        check(lib.dpm_slaves_init(self._keep(size), size, parameters, traits, count, out), "make slaves")
         self._slaves = out[0]
 
     def _add(self, config: Any, outputs: Any, inputs: Any) -> int:

@@ -13,7 +13,7 @@ from functools import partial
 from typing import Any
 
 from dpmaster._arguments import number
-from dpmaster._core import NS, block, check, ffi, lib
+from dpmaster._core import NS, check, ffi, lib
 from dpmaster.emulator.host import CardT, Host, bus_parameters
 from dpmaster.errors import ConfigurationError
 from dpmaster.realtime import Realtime, schedule, wished
@@ -24,17 +24,18 @@ NOMINAL = 12_000_000  # bit/s whose times the cards of an unpaced segment keep: 
 
 
 class PortPath(str):
-    """The path of a segment's port, which knows what wire is behind it."""
+    """The path of a segment's port, which knows what wire is behind it, and keeps it."""
 
     number: int
     paced: bool
     """A character takes its time on this wire."""
     baudrate: int
     """bit/s of the pace, or whose times the cards keep."""
+    _wire: Segment | None
 
-    def __new__(cls, path: str, number: int, paced: bool, baudrate: int) -> PortPath:
+    def __new__(cls, path: str, number: int, paced: bool, baudrate: int, wire: Segment | None = None) -> PortPath:
         self = super().__new__(cls, path)
-        self.number, self.paced, self.baudrate = number, paced, baudrate
+        self.number, self.paced, self.baudrate, self._wire = number, paced, baudrate, wire
         return self
 
 
@@ -85,12 +86,11 @@ class Segment(Host):
         config.parameters = bus_parameters(self._rate)[0]
         config.paced, config.echo, config.ports, config.slaves = baudrate is not None, echo, ports, cards
         size = lib.dpm_segment_size(config)
-        self._block = block(size)
-        self._opened = ffi.new("dpm_segment **")
+        memory = self._keep(size)
         try:
-            check(lib.dpm_segment_open(self._block, size, config, self._opened), "open a segment", ports=ports)
+            check(lib.dpm_segment_open(memory, size, config, self._opened), "open a segment", ports=ports)
             check(lib.dpm_segment_start(self._object), "start a segment")
-            self.scheduling = schedule(realtime, False, partial(self._call, "realtime"), [self._block], "the segment's hub")
+            self.scheduling = schedule(realtime, False, partial(self._call, "realtime"), [memory], "the segment's hub")
             self._begin()
         except BaseException:
             self._end()
@@ -118,7 +118,7 @@ class Segment(Host):
             if index >= limit:
                 raise ConfigurationError(f"ports {limit}: all are handed out; open it with Segment(ports={limit + 1})")
             path = os.fsdecode(ffi.string(lib.dpm_segment_path(self._object, index)))
-            self._ports.append(PortPath(path, index, self.baudrate is not None, self._rate))
+            self._ports.append(PortPath(path, index, self.baudrate is not None, self._rate, self))
             return self._ports[index]
 
     def faults(self, *, seed: int = 0, lose: float = 0.0, flip: float = 0.0, parity: float = 0.0, insert: float = 0.0,
@@ -159,7 +159,7 @@ class Segment(Host):
         known = self._known(port)
         check(self._call("plug", known.number, True), f"plug in {port}")
         path = os.fsdecode(ffi.string(lib.dpm_segment_path(self._object, known.number)))
-        self._ports[known.number] = PortPath(path, known.number, known.paced, known.baudrate)
+        self._ports[known.number] = PortPath(path, known.number, known.paced, known.baudrate, self)
         return self._ports[known.number]
 
     def _set_cut(self, port: str, cut: bool) -> None:
