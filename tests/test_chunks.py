@@ -13,7 +13,7 @@ from waiting import until
 from wire import MS, S, Slaves, default_parameters, lib
 from wire import Master as CoreMaster
 
-from dpmaster import BusParameters, ConfigurationError, Master, PortError, StationState
+from dpmaster import BusParameters, ConfigurationError, DPError, Master, PortError, StationState
 from dpmaster.calibration import calibrate
 from dpmaster.drives import YaskawaV7
 from dpmaster.emulator import Segment
@@ -78,6 +78,22 @@ def test_exchange_stands_behind_an_adapter_with_the_measured_allowance(chunk: fl
                 if end.losses == 0 and wire.report(card).watchdog_expired == 0:
                     return
     raise AssertionError(f"losses in each attempt, the last with allowance {found.allowance}: {end}")
+
+
+@pytest.mark.parametrize("chunk", [0.001, 0.016])
+def test_an_echo_behind_an_adapter_is_found_and_measured(chunk: float) -> None:
+    """Later than the next transmissions begin."""
+    with Segment(RATE, echo=True, realtime=True) as wire:
+        wire.faults(chunk=chunk)
+        for _ in range(3):  # as above
+            try:
+                found = calibrate(wire.port(), RATE, count=10)
+            except DPError as error:
+                assert "heard back whole" in str(error)
+                continue
+            assert found.by == "echo" and found.worst > chunk / 4
+            return
+    raise AssertionError("a busy computer, three times")
 
 
 @pytest.mark.parametrize(("chunk", "echo"), [(0.0, False), (0.001, True)])

@@ -597,6 +597,26 @@ def test_an_echo_may_come_in_pieces(opened: Opener) -> None:
     assert port.info.echo_octets == 6
 
 
+def test_an_echo_is_found_behind_the_next_transmissions(opened: Opener) -> None:
+    """Protocol page N.3: USB frames of 1 ms. A claimed token goes out twice and a request follows, each after Tid1."""
+    port = opened()
+    for octets in (TOKEN, TOKEN, REQUEST):
+        port.write(octets)
+    assert port.hear(TOKEN[:2], echo=True) == b""
+    assert port.hear(TOKEN[2:] + TOKEN + REQUEST + ANSWER) == ANSWER
+    assert (port.info.echoes, port.info.echo_octets, port.info.echo_errors) == (3, 12, 0)
+
+
+@pytest.mark.parametrize("heard", [ANSWER, b"\xE5", TOKEN[:1] + ANSWER, TOKEN[:2] + ANSWER])
+def test_where_no_echo_came_an_answer_is_given_whole(opened: Opener, heard: bytes) -> None:
+    port = opened()
+    for octets in (TOKEN, TOKEN, REQUEST, REQUEST, REQUEST):
+        port.write(octets)
+    assert port.hear(heard) == heard
+    assert port.hear(REQUEST) == REQUEST
+    assert (port.info.echo_octets, port.info.echo_errors) == (0, 0)
+
+
 def test_the_token_to_oneself_heard_back_is_an_echo(opened: Opener) -> None:
     port = opened(allowance=PATIENT)
     port.write(TOKEN)

@@ -27,7 +27,8 @@
 
 enum {
     CHUNK = 512,           /* octets read at once: more than the longest telegram */
-    ECHO_MAX = 256         /* no telegram is longer than 255 octets */
+    ECHO_MAX = 256,        /* no telegram is longer than 255 octets */
+    ECHOES = 4             /* transmissions whose echo an adapter may still have: two tokens to oneself, a request, and one more */
 };
 
 /* The end of a wait is spun, for the kernel wakes some tens of microseconds late even with the timer slack gone. */
@@ -57,17 +58,23 @@ static const dpm_port_traits profiles[] = {
  * the line, and the levels of RTS are dropped. */
 #define MODE_RS422 (1u << 9)
 
-/* Our last transmission, while its echo may come. */
-typedef struct echo_filter {
+/* A transmission of ours, while its echo may come. */
+typedef struct transmission {
     uint8_t octets[ECHO_MAX];
-    size_t length;         /* 0: none is looked for */
+    size_t length;
+    int64_t end;
+    int64_t due;           /* what is not here by now does not come */
+} transmission;
+
+/* Who does not know of the echo yet has not waited for it, so it may come behind the next transmissions. */
+typedef struct echo_filter {
+    transmission sent[ECHOES]; /* the oldest first, to which the octets heard belong */
+    size_t waiting;        /* 0: no echo is looked for */
     size_t held;           /* octets heard that may be it; held back until the verdict */
     size_t equal;          /* how many of them are as they were sent */
     uint8_t heard[ECHO_MAX];
     uint8_t errors[ECHO_MAX];
     bool expected;         /* told so, or found */
-    int64_t end;           /* of the transmission */
-    int64_t due;           /* what is not here by now does not come */
     int64_t earliest;      /* of the octets held */
     int64_t latest;
 } echo_filter;
@@ -354,7 +361,7 @@ static void set_kind(dpm_port *port)
 
 static void forget_echo(dpm_port *port)
 {
-    port->echo.length = port->echo.held = port->echo.equal = 0;
+    port->echo.waiting = port->echo.held = port->echo.equal = 0;
 }
 
 static int open_line(dpm_port *port)
@@ -506,38 +513,39 @@ static void give(dpm_port *port, dpm_machine *machine, const uint8_t *octets, co
 static void release(dpm_port *port, dpm_machine *machine)
 {
     echo_filter *echo = &port->echo;
-    const size_t held = echo->held, equal = echo->equal, length = echo->length;
+    const size_t held = echo->held, equal = echo->equal, length = echo->sent[0].length;
     const bool ours = equal == length || (echo->expected && 2 * equal > length);
     port->info.echo_octets += ours ? equal : 0;
     port->info.echo_errors += echo->expected && equal < length;
     echo->expected |= ours;
     if (equal == length) {
         port->info.echoes++;
-        port->info.echo_late = echo->latest - echo->end;
+        port->info.echo_late = echo->latest - echo->sent[0].end;
     }
-    forget_echo(port);
+    echo->waiting--;
+    echo->held = echo->equal = 0;
+    memmove(echo->sent, echo->sent + 1, echo->waiting * sizeof *echo->sent);
     if (held)
         give(port, machine, echo->heard, echo->errors, held, echo->earliest, echo->latest, ours);
 }
 
-/* Take from the front of `n` octets what may be the echo of our last transmission; returns how many were taken. An octet
+/* Take of `n` octets, from the one at `i`, what may be the echo of our oldest transmission; returns where that ends. An octet
  * that differs ends it, unless the echo is known to come and has begun. */
-static size_t take_echo(dpm_port *port, dpm_machine *machine, size_t n, int64_t earliest, int64_t read)
+static size_t take_echo(dpm_port *port, dpm_machine *machine, size_t i, size_t n, int64_t earliest, int64_t read)
 {
     echo_filter *echo = &port->echo;
-    size_t i = 0;
-    for (; i < n && echo->held < echo->length; i++, echo->held++) {
-        const bool equal = port->octets[i] == echo->octets[echo->held] && !port->errors[i];
+    for (; i < n && echo->held < echo->sent[0].length; i++, echo->held++) {
+        const bool equal = port->octets[i] == echo->sent[0].octets[echo->held] && !port->errors[i];
         if (!equal && !(echo->expected && echo->held))
             break;
         if (!echo->held)
-            echo->earliest = earliest;
+            echo->earliest = earliest + (int64_t)i * port->spacing;
         echo->latest = read - (int64_t)(n - 1 - i) * port->spacing;
         echo->equal += equal;
         echo->heard[echo->held] = port->octets[i];
         echo->errors[echo->held] = port->errors[i];
     }
-    if (echo->held == echo->length || i < n)
+    if (echo->held == echo->sent[0].length || i < n)
         release(port, machine);
     return i;
 }
@@ -561,7 +569,9 @@ static void take_octets(dpm_port *port, dpm_machine *machine, size_t n)
         return; /* the first part of a mark */
     port->info.octets_in += n;
     int64_t earliest = read - (int64_t)(n - 1) * port->spacing - port->info.traits.granularity;
-    size_t taken = port->echo.length ? take_echo(port, machine, n, earliest, read) : 0;
+    size_t taken = 0;
+    while (taken < n && port->echo.waiting)
+        taken = take_echo(port, machine, taken, n, earliest, read);
     if (taken < n)
         give(port, machine, port->octets + taken, errors ? errors + taken : NULL, n - taken, earliest, read, false);
 }
@@ -570,7 +580,7 @@ static void take_octets(dpm_port *port, dpm_machine *machine, size_t n)
 static void report_quiet(dpm_port *port, dpm_machine *machine, int64_t before)
 {
     if (port->echo.held) {
-        if (before < port->echo.due)
+        if (before < port->echo.sent[0].due)
             return;
         release(port, machine);
     }
@@ -630,13 +640,21 @@ int dpm_port_wait(dpm_port *port, int wake_fd, int64_t deadline)
 
 static void expect_echo(dpm_port *port, const uint8_t *octets, size_t n, int64_t end)
 {
-    echo_filter *echo = &port->echo;
     if (port->config.echo == DPM_ECHO_OFF)
         return;
-    memcpy(echo->octets, octets, n);
-    echo->length = n;
-    echo->end = end;
-    echo->due = end + port->info.traits.allowance;
+    transmission *sent = &port->echo.sent[port->echo.waiting++];
+    memcpy(sent->octets, octets, n);
+    sent->length = n;
+    sent->end = end;
+    sent->due = end + port->info.traits.allowance;
+}
+
+/* Of those whose echo does not come any more there is a verdict before the next transmission. */
+static void end_echoes(dpm_port *port, dpm_machine *machine, int64_t now)
+{
+    const echo_filter *echo = &port->echo;
+    while (echo->waiting && (port->config.echo == DPM_ECHO_ON || echo->waiting == ECHOES || now > echo->sent[0].due))
+        release(port, machine);
 }
 
 /* Ask the driver for the end of a transmission. The thread has nothing else to do meanwhile: the line is ours. */
@@ -659,12 +677,12 @@ int dpm_port_write(dpm_port *port, dpm_machine *machine, const uint8_t *octets, 
 {
     if (n == 0 || n > ECHO_MAX)
         return DPM_E_LENGTH;
-    const bool held = port->echo.held > 0;
-    if (port->echo.length)
+    if (port->echo.held) {
         release(port, machine);
-    if (held)
         return DPM_OK; /* it was no echo and may revoke the offer: the machine is asked again */
+    }
     int64_t start = dpm_now();
+    end_echoes(port, machine, start);
     ssize_t written = write(port->fd, octets, n);
     int why = errno;
     int64_t end_earliest = dpm_now(), end_latest = end_earliest;
