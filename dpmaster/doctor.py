@@ -71,7 +71,9 @@ def examine(path: str, baudrate: int | None = None, listen: float = 1.0) -> Diag
             rates, believed = port.rates(), not port.repeats
             remarks += [*_rates(port, rates, baudrate, believed), *_direction(port), *_delivery(port), *_echo(port)]
             if baudrate is not None:
-                remarks += [*_heard(port, baudrate, listen), *_cable(baudrate)]
+                if Rate(baudrate, None) not in rates:
+                    remarks += _heard(port, baudrate, listen)
+                remarks += _cable(baudrate)
         except PortError as error:
             text, _, remedy = str(error).removeprefix(f"port {path}: ").partition(": ")
             remarks.append(Remark(Level.BAD, "port", text, remedy))

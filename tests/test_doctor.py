@@ -221,6 +221,13 @@ def test_a_bus_without_telegrams_is_another_rate_or_exchanged_wires(wire: Segmen
     assert found.level is Level.BAD and "no telegram in them" in found.text and "A and B exchanged" in found.remedy
 
 
+def test_a_rate_that_is_not_made_is_one_remark(wire: Segment, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody is sent to the doctor by the doctor."""
+    monkeypatch.setattr(Port, "rates", lambda port: (Rate(9600, 9600), Rate(RATE, None)))
+    found = remarks(iter(examine(wire.port(), RATE).remarks))
+    assert found["rate"].level is Level.BAD and "cable" in found and "bus" not in found
+
+
 def test_a_port_in_use_is_a_remark_with_its_remedy(wire: Segment, capsys: pytest.CaptureFixture[str]) -> None:
     port = wire.port()
     with Master(port):
