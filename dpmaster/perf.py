@@ -16,6 +16,7 @@ from dpmaster._arguments import seconds as check_seconds
 from dpmaster._core import NS, lib
 from dpmaster.emulator import Segment
 from dpmaster.emulator.cards import SIP1
+from dpmaster.errors import DPError
 from dpmaster.master import Master
 from dpmaster.realtime import Realtime, Scheduling
 from dpmaster.station import Station
@@ -62,8 +63,8 @@ class Punctuality:
 def measure(port: str | None = None, baudrate: int = 500_000, *, cycle_time: float = 0.002, duration: float = 10.0,
             realtime: Realtime | bool = True, station: Station | None = None) -> Punctuality:
     """Run a master for `duration` s. port: None: a virtual wire, with an SI-P1 on it. station: on a real port the slave to
-    exchange data with, in Clear, so that its outputs stay zero; None: the bus has the token only. Raises PortError,
-    ConfigurationError.
+    exchange data with, in Clear, so that its outputs stay zero; None: the bus has the token only. Raises PortError, also when
+    the port vanishes meanwhile, ConfigurationError, DPError when no cycle began.
     """
     check_seconds("duration", duration, 86_400)
     with ExitStack() as stack:
@@ -80,10 +81,14 @@ def measure(port: str | None = None, baudrate: int = 500_000, *, cycle_time: flo
         before = master._bus.status().lateness
         counts, skipped = list(before.counts), before.skipped
         master._bus.wait(lambda: None, duration)
+        master._bus.check_port()
         status = master._bus.status().lateness
         scheduling = master.statistics.port.scheduling
     classes = [Class(None if n == lib.DPM_LATENESS_CLASSES - 1 else 2 << n, after - counts[n])
                for n, after in enumerate(status.counts)]
+    if not any(each.cycles for each in classes):
+        raise DPError(f"no cycle of {cycle_time * 1000:g} ms began within {duration:g} s: measure longer, and where "
+                      "no other master has the bus")
     while len(classes) > 1 and not classes[-1].cycles:
         classes.pop()
     return Punctuality(

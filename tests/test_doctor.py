@@ -411,6 +411,20 @@ def test_a_picture_that_cannot_be_written_does_not_cost_the_measurement(capsys: 
     assert "99.9 % within" in shown.out and "name a file that can be written" in shown.err
 
 
+def test_perf_makes_no_histogram_of_a_port_that_vanished(wire: Segment) -> None:
+    port = wire.port()
+    pull = threading.Timer(0.5, wire.pull_out, [port])
+    pull.start()
+    with pytest.raises(PortError, match="vanished"):
+        perf.measure(port, duration=1.0, realtime=False)
+    pull.join()
+
+
+def test_perf_without_a_cycle_has_no_half_of_them(wire: Segment, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["perf", wire.port(), "--cycle-time", "9999", "--seconds", "0.001", "--priority", "0"]) == 1
+    assert "no cycle of 9999 ms began within 0.001 s" in capsys.readouterr().err
+
+
 def test_perf_s_shares() -> None:
     classes = (perf.Class(2, 90), perf.Class(4, 9), perf.Class(None, 1))
     found = perf.Punctuality("p", 0.002, 100, 0, 0.1, classes, perf.Scheduling(), "m")
