@@ -99,7 +99,7 @@ _PROFILES = {None: "AUTO", "uart": "UART", "usb": "USB", "pty": "PTY"}
 _DIRECTIONS = {None: "AUTO", "rs485": "RS485", "rs485-inverted": "RS485_INVERTED"}
 # What Python knows beyond the library's text of the same code.
 _REMEDIES = {
-    "NO_PORT": "/dev/serial/by-id lists those that are",
+    "NO_PORT": "/dev/serial/by-id lists those that are, and 'dpmaster bridge URL' makes one of a converter on the network",
     "PERMISSION": "then log in again",
     "IN_USE": "'fuser -v {path}' names it",
     "NOT_TTY": "give that of one, or a segment's port()",

@@ -16,6 +16,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 
+from dpmaster._arguments import whole
 from dpmaster._core import NS, ffi, lib
 from dpmaster.bus import port_error
 from dpmaster.errors import ConfigurationError, DPError, StationError
@@ -84,6 +85,7 @@ def calibrate(port: str, baudrate: int = 500_000, *, address: int = 1, station: 
     It takes the bus for itself, for a few seconds. Raises DPError when another master has it, or when neither an echo nor an
     answer comes; PortError, ConfigurationError.
     """
+    whole("count", count, 1, 1_000_000, " requests")
     usual = _alone(port, baudrate)
     made = _rate(port, baudrate, direction)
     once = replace(BusParameters.default(baudrate), max_retry_limit=0)

@@ -63,6 +63,8 @@ class Diagnosis:
 def examine(path: str, baudrate: int | None = None, listen: float = 1.0) -> Diagnosis:
     """Look at a port and the computer; with `baudrate` (bit/s) also hear the bus for `listen` s. Raises PortError when there is
     no such port, ConfigurationError for a rate that is none."""
+    if baudrate is not None:
+        BusParameters.default(baudrate)
     port = Port.at(path)
     rates: tuple[Rate, ...] = ()
     remarks = [*_identity(port), *_access(port)]

@@ -231,6 +231,8 @@ def test_a_rate_that_is_not_made_is_one_remark(wire: Segment, monkeypatch: pytes
 def test_a_port_in_use_is_a_remark_with_its_remedy(wire: Segment, capsys: pytest.CaptureFixture[str]) -> None:
     port = wire.port()
     with Master(port):
+        assert cli.main(["doctor", port, "--baudrate", "1234"]) == 2
+        assert "baudrate 1234: PROFIBUS has no such rate" in capsys.readouterr().err
         assert cli.main(["doctor", port]) == 1
     shown = " ".join(capsys.readouterr().out.split())
     assert "bad port another program" in shown and f"fuser -v {port}" in shown
@@ -369,6 +371,12 @@ def test_what_no_ring_can_wait_for_is_said() -> None:
     assert found.tsl(500_000) == 100 + 15 + 10_000 == BusParameters.for_ring(500_000, allowance=0.02).tsl
     assert found.tsl(1_500_000) is None
     assert max(found.ring_rates) == 500_000
+
+
+@pytest.mark.parametrize("count", [0, -5, 1.5])
+def test_calibrate_measures_something(wire: Segment, count: int) -> None:
+    with pytest.raises(ConfigurationError, match=rf"count {count}: 1 to 1000000 requests"):
+        calibrate(wire.port(), RATE, count=count)
 
 
 def test_calibrate_does_not_disturb_another_master(wire: Segment) -> None:
