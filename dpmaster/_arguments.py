@@ -45,6 +45,13 @@ def timeout(value: float | None) -> None:
         raise ConfigurationError(f"timeout {value!r}: seconds, or None to wait for ever")
 
 
+def paced(value: float | None, cycle_time: float | None, cycles: int = 1) -> float | None:
+    """A time to wait that counts beside so many fixed cycle times: what the program chose itself is nobody's delay, and a
+    default of a second holds on a slow cycle, too. 0 still only looks."""
+    timeout(value)
+    return value and value + cycles * (cycle_time or 0.0)
+
+
 def octets(name: str, value: bytes | bytearray | memoryview | Iterable[int], low: int, high: int, note: str = "") -> bytes:
     """`low` to `high` octets."""
     try:

@@ -62,10 +62,9 @@ class Cycles(Iterator[Cycle]):
     """The cycles of a master, one after the other; see `Master.cycles`."""
 
     def __init__(self, bus: Bus, cycle_time: float | None, timeout: float | None) -> None:
-        _arguments.timeout(timeout)
         self._bus = bus
         self._fixed = cycle_time is not None
-        self._timeout = None if timeout is None else timeout + (cycle_time or 0.0)
+        self._timeout = _arguments.paced(timeout, cycle_time)
         status = bus.status()
         if status.mode < Mode.CLEAR:
             raise NotOperatingError(f"there are no cycles in {Mode(status.mode).name.title()}: operate() or clear() first")

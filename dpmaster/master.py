@@ -32,7 +32,7 @@ from dpmaster.live import HIGHEST, LiveEntry, LiveList, RingView
 from dpmaster.parameters import TSL_MAX, BusParameters
 from dpmaster.realtime import Realtime
 from dpmaster.services import Answer, Service, Services
-from dpmaster.station import Station
+from dpmaster.station import START_CYCLES, Station
 from dpmaster.timing import DEFAULT_WATCHDOG_MAX, Slave, cycle, default_watchdog, tsl_needed
 
 __all__ = ["Answer", "Master", "MasterStatistics", "MasterStatus", "Mode", "Service"]
@@ -435,10 +435,11 @@ class Master(Services):
     def operate(self, timeout: float | None = 5.0, partial: bool = False) -> None:
         """Bring every active station into Data_Exchange, then Operate: from now on commits reach the stations.
 
-        timeout: s for all stations together, None: for ever. When some are missing then, or earlier when all that are missing
-        have refused for good, StationError (one refuses) or DPTimeout says which and why, and the mode stays Clear, with the
-        others exchanging; with `partial` it goes on with those that are there. It also ends a latch of the output watchdog and
-        what auto_clear did. Raises PortError when the port vanished, ConfigurationError, ClosedError.
+        timeout: s for all stations together, beside eight fixed cycle times; None: for ever. When some are missing then, or
+        earlier when all that are missing have refused for good, StationError (one refuses) or DPTimeout says which and why, and
+        the mode stays Clear, with the others exchanging; with `partial` it goes on with those that are there. It also ends a
+        latch of the output watchdog and what auto_clear did. Raises PortError when the port vanished, ConfigurationError,
+        ClosedError.
         """
         if partial and self.auto_clear:
             raise ConfigurationError("partial=True with auto_clear=True, which operates with all active stations or not at "
@@ -449,13 +450,13 @@ class Master(Services):
         if self.mode != Mode.OPERATE:
             self._bus.set_mode(Mode.CLEAR)
         begin = time.monotonic()
-        missing = self._await_stations(timeout)
+        missing = self._await_stations(_arguments.paced(timeout, self.cycle_time, START_CYCLES))
         if missing and not partial:
             raise self._missing_error(missing, time.monotonic() - begin)
         if self.mode != Mode.OPERATE:  # again while it operates would take the watchdog's last feed for a new start
             self._bus.set_mode(Mode.OPERATE)
             self._bus.fed_thread = _errand.caller()
-        self._await_mode(Mode.OPERATE, LEAVE_TIME)
+        self._await_mode(Mode.OPERATE, LEAVE_TIME + (self.cycle_time or 0))
         for station in self.stations:
             if station.state == StationState.DATA:
                 station._operating()
@@ -583,14 +584,15 @@ class Master(Services):
 
     def wait_cycle(self, timeout: float | None = 1.0) -> int:
         """Wait for the end of the bus cycle under way; returns its number. In the thread of the last commit it feeds the output
-        watchdog. Raises DPTimeout, NotOperatingError before the bus has begun, ClosedError."""
+        watchdog. Raises DPTimeout after `timeout` s and a fixed cycle time, NotOperatingError before the bus has begun,
+        ClosedError."""
         if self._begun().mode < Mode.CLEAR:
             raise NotOperatingError(f"there are no cycles in {self.mode.name.title()}: operate() or clear() first")
-        seen = self._status().cycle
-        cycle = self._bus.wait(lambda: number if (number := self._status().cycle) != seen else None, timeout)
+        seen, within = self._status().cycle, _arguments.paced(timeout, self.cycle_time)
+        cycle = self._bus.wait(lambda: number if (number := self._status().cycle) != seen else None, within)
         if cycle is None:
             self._bus.check_port()
-            raise DPTimeout(f"no bus cycle ended in {timeout} s")
+            raise DPTimeout(f"no bus cycle ended in {within or 0:g} s")
         return int(cycle)
 
     def cycles(self, timeout: float | None = 1.0) -> Cycles:

@@ -81,6 +81,7 @@ class Services:
     """
 
     address: int
+    cycle_time: float | None
     _bus: Bus
 
     @property
@@ -254,7 +255,8 @@ class Services:
         clear=True makes the outputs of those concerned safe at once, and they stay so until clear=False or the next change of
         the mode; then only a new commit reaches them. clear=None leaves that, and the mode's own Clear_Data, as it is.
 
-        In Stop it is sent at once, to whatever slaves listen. Raises NotOperatingError for clear=False in Clear,
+        It may take two cycles, so `timeout` counts beside two fixed cycle times. In Stop it is sent at once, to whatever slaves
+        listen. Raises NotOperatingError for clear=False in Clear,
         ConfigurationError when no station concerned can obey.
         """
         _arguments.whole("group", group, 0, 255, ", a bit for each of 8 groups")
@@ -275,9 +277,10 @@ class Services:
         self._check_concerned(at, group, bool(sync), bool(freeze))
         control = ffi.new("dpm_control *")
         control.da, control.command, control.group, control.clear = at, command, group, -1 if clear is None else clear
-        if not self._bus.order(control, timeout):
+        within = _arguments.paced(timeout, self.cycle_time, 2)
+        if not self._bus.order(control, within):
             self._bus.check_port()
-            raise self._no_turn("Global_Control, which will not be sent,", timeout)
+            raise self._no_turn("Global_Control, which will not be sent,", within)
 
     def _check_concerned(self, at: int, group: int, sync: bool, freeze: bool) -> None:
         """A command that nobody obeys would look like one that was carried out."""

@@ -34,6 +34,7 @@ Watchdog = float | Literal["default"] | None
 DIAGNOSES = 64  # that a station's history has room for
 BY_HAND_WATCHDOG = 1.0  # s, of a Set_Prm by hand when the station says "default": no cycle is there to predict it from
 WATCHDOG_MAX = 650.25  # s, 255 * 255 * 10 ms
+START_CYCLES = 8  # a station's way into Data_Exchange has a request in each; one that is not ready at once has more
 REFUSALS = 8  # with the growing pauses between them two thirds of a second: a slave that is only starting says yes by then
 USER_PARAMETERS_MAX = 237  # octets of User_Prm_Data in Set_Prm
 
@@ -370,16 +371,17 @@ class Station:
     def wait_sent(self, number: int, timeout: float | None = 1.0) -> None:
         """Wait until commit `number`, or one after it, was sent and answered.
 
-        Raises OutputsDiscarded, with the reason, when no telegram will ever carry it; DPTimeout after `timeout` s, PortError
-        when the port is the reason; ClosedError.
+        Raises OutputsDiscarded, with the reason, when no telegram will ever carry it; DPTimeout after `timeout` s and two
+        fixed cycle times (0: only look), PortError when the port is the reason; ClosedError.
         """
         master = self._owner()
         if not isinstance(number, int) or not 0 < number < 1 << 63:
             raise ConfigurationError(f"{self.name}: commit {number!r}: give a number that update() returned")
-        result: int | None = master._bus.wait(lambda: lib.dpm_outputs_was_sent(self._outputs, number) or None, timeout)
+        within = _arguments.paced(timeout, self._pace, 2)  # the first behind operate() waits for the second
+        result: int | None = master._bus.wait(lambda: lib.dpm_outputs_was_sent(self._outputs, number) or None, within)
         if result is None:
             master._bus.check_port()
-            raise DPTimeout(f"{self.name}: commit {number} was not answered in {timeout} s; {self._standing(master)}")
+            raise DPTimeout(f"{self.name}: commit {number} was not answered in {within or 0:g} s; {self._standing(master)}")
         if result == lib.DPM_E_DISCARDED:
             raise OutputsDiscarded(f"{self.name}: commit {number} will never be sent; {self._standing(master)}", number=number,
                                    dpm_code=result)
@@ -448,17 +450,15 @@ class Station:
         The others' exchange goes on. Raises DPTimeout when that took more than `timeout` s and a cycle time, ClosedError.
         """
         master = self._owner()
-        _arguments.timeout(timeout)
+        within = _arguments.paced(timeout, self._pace)
         with self._commands:
             master._rest(self, self._stop_word, self._rest)
             self._active = False
             if self._index is None:
                 return
             master._bus.activate(self._index, False)
-        # Its turn to be released comes with the next cycle.
-        within = None if timeout is None else timeout + self._pace
         if master._bus.wait(lambda: True if self.state == StationState.INACTIVE else None, within) is None:
-            raise DPTimeout(f"{self.name} was not released in {within} s; {self._standing(master)}")
+            raise DPTimeout(f"{self.name} was not released in {within or 0:g} s; {self._standing(master)}")
         master._settle_watchdogs()
 
     def reparameterise(self, user_parameters: bytes | None = None, timeout: float = 5.0) -> None:
@@ -467,7 +467,7 @@ class Station:
 
         The others' exchange goes on. A drive says its stop word first; the station comes back with safe outputs, and only a
         commit made after that reaches it. Returns when it exchanges again; one that did not before is not waited for. Raises
-        StationError when it refuses, DPTimeout, ConfigurationError, ClosedError.
+        StationError when it refuses, DPTimeout after `timeout` s and eight fixed cycle times, ConfigurationError, ClosedError.
         """
         master = self._owner()
         if user_parameters is not None:
@@ -482,9 +482,9 @@ class Station:
             master._bus.change(self._index, self._settings())
             master._bus.new_prm(self._index)
         if waits:
-            self._await_data(master, timeout)
+            self._await_data(master, _arguments.paced(timeout, self._pace, START_CYCLES))
 
-    def _await_data(self, master: Master, timeout: float) -> None:
+    def _await_data(self, master: Master, timeout: float | None) -> None:
         def settled() -> bool | None:
             return True if self.state == StationState.DATA or self._refuses_for_good() else None
 

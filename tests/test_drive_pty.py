@@ -9,7 +9,7 @@ import logging
 import random
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -19,7 +19,7 @@ from dpmaster import Master
 from dpmaster.drives import Drive, YaskawaSIP3, YaskawaV7
 from dpmaster.emulator import Segment
 from dpmaster.emulator.cards import SIP1, SIP3
-from dpmaster.errors import StationError
+from dpmaster.errors import DPTimeout, StationError
 from dpmaster.profiles import yaskawa_1000, yaskawa_v7
 
 PATIENCE = 30.0
@@ -113,6 +113,47 @@ def test_a_drive_on_a_slow_cycle_is_given_its_stop_word(monkeypatch: pytest.Monk
         drive.wait_sent(drive.update(0, bytes(2)), PATIENCE)  # the next exchange is a cycle away
         master.clear()
     assert "stop word" not in caplog.text
+
+
+SLOW = 0.05  # s
+
+
+@pytest.fixture
+def slow() -> Iterator[tuple[Master, YaskawaV7, YaskawaSIP3]]:
+    """A master with a fixed cycle time, and a drive with each kind of parameter channel."""
+    with Segment(cards=2) as wire, Master(wire.port(), cycle_time=SLOW, output_watchdog=None) as master:
+        wire.attach(SIP1(5))
+        wire.attach(SIP3(6))
+        yield master, master.add(YaskawaV7(5, watchdog=10.0)), master.add(YaskawaSIP3(6, "PPO Type 2", watchdog=10.0))
+
+
+def test_the_times_of_a_call_count_beside_the_cycles_it_takes(slow: tuple[Master, YaskawaV7, YaskawaSIP3],
+                                                              monkeypatch: pytest.MonkeyPatch) -> None:
+    """A default of a second would be over before a cycle of two has come."""
+    master, v7, sip3 = slow
+    calls: list[tuple[float, int, Callable[[], object]]] = [  # default and, as seen on slow wires, cycles at the most
+        (5.0, 6, master.operate),
+        (1.0, 1, master.wait_cycle),
+        (1.0, 1, lambda: next(master.cycles())),
+        (1.0, 2, lambda: v7.wait_sent(v7.update(0, bytes(2)))),
+        (1.0, 2, lambda: master.global_control(clear=True)),
+        (1.0, 2, lambda: master.global_control(clear=False)),
+        (1.0, 5, lambda: v7.read_parameter("n003")),
+        (1.0, 5, lambda: v7.write_parameter("n019", 50)),
+        (1.0, 3, lambda: sip3.read("C1-01")),
+        (1.0, 1, v7.fault_reset),
+        (5.0, 4, v7.reparameterise),
+        (1.0, 1, sip3.deactivate),
+    ]
+    granted: list[float] = []
+    wait = master._bus.wait
+    monkeypatch.setattr(master._bus, "wait", lambda ready, timeout: granted.append(timeout) or wait(ready, timeout))
+    for number, (default, cycles, call) in enumerate(calls):
+        granted.clear()
+        call()
+        assert default + (cycles - 0.1) * SLOW < max(granted) < default + 11 * SLOW, f"call {number}"
+    with pytest.raises(DPTimeout):
+        v7.wait_sent(v7.update(0, bytes(2)), 0)
 
 
 @pytest.mark.parametrize("bus", [(0.02,)], indirect=True)  # a lost answer shall cost no more

@@ -32,9 +32,15 @@ from dpmaster.station import Frame
 
 T = TypeVar("T")
 
+CYCLES = 8  # of an access to a drive that answers at once, the longest: MEMOBUS behind one that was given up
+
 
 class Wire(Protocol):
     """What a parameter channel needs of a station."""
+
+    @property
+    def _pace(self) -> float:
+        """s of a fixed cycle time, else 0."""
 
     @property
     def outputs(self) -> bytes:
@@ -71,14 +77,16 @@ class Channel(ABC):
 
     def _carry(self, what: str, attempt: Callable[[], T], *, again: bool, timeout: float) -> T:
         """Wait for the turn, then make the attempt; once more after a loss of the station, unless the drive may have seen
-        a request that must not be done twice (`again` is False). `timeout` is s from its turn, for all of it.
+        a request that must not be done twice (`again` is False). `timeout` is s from its turn, for all of it, beside the
+        fixed cycle times that its telegrams wait for.
         """
         _arguments.seconds("timeout", timeout, 3600.0)
+        within = timeout + CYCLES * self._wire._pace
         with self._turn():
             self._held = b""
             try:
-                self._now = self._wire.wait(lambda f: f.valid, timeout).time
-                self._deadline = self._now + timeout
+                self._now = self._wire.wait(lambda f: f.valid, within).time
+                self._deadline = self._now + within
                 while True:
                     self._asked = False
                     try:
@@ -91,7 +99,7 @@ class Channel(ABC):
             except BaseException as late:
                 self._withdraw()
                 if isinstance(late, DPTimeout):
-                    raise DPTimeout(f"parameter channel: no answer to {what} within {timeout:g} s; the channel can be used "
+                    raise DPTimeout(f"parameter channel: no answer to {what} within {within:g} s; the channel can be used "
                                     f"again{self._silence} ({late})") from late
                 raise
 

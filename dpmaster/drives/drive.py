@@ -358,7 +358,7 @@ class Drive(Station, ABC, Generic[S]):
         """
         self._edge(True)
         try:
-            self.wait(lambda f: f.valid and not self._decode(f).fault, RESET)
+            self.wait(lambda f: f.valid and not self._decode(f).fault, RESET + 2 * self._pace)
         except DPTimeout as late:
             raise StationError(f"{self.name}: the fault stays; its cause is still there (status: {self.status})",
                                address=self.address, reason="fault") from late
@@ -374,7 +374,7 @@ class Drive(Station, ABC, Generic[S]):
     def _see_running(self, needed: Mapping[str, int], heard: Callable[[S], bool]) -> None:
         """The stand-in for reading parameters where nothing can: a drive that listens shows it within half a second."""
         try:
-            self.wait_until(heard, HEAR)
+            self.wait_until(heard, HEAR + 2 * self._pace)
         except DPTimeout as late:
             self.stop()
             if not self.status.valid:
@@ -433,7 +433,7 @@ class Drive(Station, ABC, Generic[S]):
         """See the stop word answered."""
         number = self._pending
         if number is not None:
-            self.wait_sent(number, REST + self._pace)
+            self.wait_sent(number, REST)
 
 
 class Terminals(MutableMapping[str, bool]):

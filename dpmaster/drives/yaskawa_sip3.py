@@ -477,7 +477,8 @@ class YaskawaSIP3(Drive[SIP3Status]):
         return tuple(self.table)
 
     def read(self, name: str, *, timeout: float = _ANSWERED) -> float:
-        """Read a parameter, in the unit of its table. `timeout` is s from its turn in the channel.
+        """Read a parameter, in the unit of its table. `timeout` is s from its turn in the channel, beside eight fixed
+        cycle times.
 
         ParameterAccessError carries the drive's code and its meaning; DPTimeout leaves the channel usable.
         """

@@ -266,10 +266,11 @@ class YaskawaV7(Drive[V7Status]):
 
     @property
     def alive(self) -> bool:
-        """Whether the card's CPU lives: watches WD for up to four periods (0.26 s), returns as soon as it has moved."""
+        """Whether the card's CPU lives: watches WD for up to four periods (0.26 s) and a fixed cycle time, returns as soon as
+        it has moved."""
         before = self.wd_counter
         try:
-            self.wait(lambda f: f.valid and self._wd(f) != before, 4 * WD_PERIOD)
+            self.wait(lambda f: f.valid and self._wd(f) != before, 4 * WD_PERIOD + self._pace)
         except DPTimeout:
             return False
         return True
@@ -345,7 +346,8 @@ class YaskawaV7(Drive[V7Status]):
     def read_parameter(self, name: int | str, count: int = 1, *, timeout: float = 1.0) -> int | tuple[int, ...]:
         """Read a register by number or name ("n003"), or `count` from there on (a tuple; up to 4 in Extended Data 1).
 
-        ParameterAccessError carries the drive's code and its meaning; DPTimeout leaves the channel usable.
+        `timeout` is s from its turn in the channel, beside eight fixed cycle times. ParameterAccessError carries the drive's
+        code and its meaning; DPTimeout leaves the channel usable.
         """
         channel = self._need_channel("read_parameter")
         self._check_count(count, channel)
