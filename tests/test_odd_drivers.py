@@ -92,6 +92,23 @@ print(json.dumps([found, left]))
     assert left == [0 if code else 1 | level for code, level in zip(codes, (2, 4), strict=True)]
 
 
+@pytest.mark.parametrize(("empty", "told"), [(None, [False] * 4), ("1", [True, False, False, False]), ("99", [True] * 4)])
+def test_a_driver_that_never_tells_the_end_is_waited_for_once(played: Played, empty: str | None, told: list[bool]) -> None:
+    """The rest is computed: 11 bits a character (protocol page A), and no later than write() and the allowance allow."""
+    found, late = played(PL011 | ({"empty": empty} if empty else {}), """
+port = Opened(path, rate=500_000, allowance=30_000_000)
+found, late = [port.info.drains], []
+for _ in range(3):
+    port.write(bytes(6))
+    start, earliest, latest, _ = port.recorder.take("sent")[0]
+    found.append(port.info.drains)
+    late.append(earliest - start >= 132_000 and latest >= earliest)
+print(json.dumps([found, late]))
+""")
+    assert found == told
+    assert all(late)
+
+
 def test_a_port_that_is_refused_stays_as_it_was(played: Played) -> None:
     """It may be somebody's console."""
     assert played(PL011, """
