@@ -15,6 +15,8 @@
 #include <sys/sysmacros.h>
 #include <unistd.h>
 
+#define MODE_RS422 (1u << 9) /* Linux 6.8, where the headers may be older */
+
 static tcflag_t parity;
 static struct serial_struct serial;
 static struct serial_rs485 rs485;
@@ -51,7 +53,8 @@ ssize_t readlink(const char *restrict path, char *restrict target, size_t size)
     return (ssize_t)length + 1;
 }
 
-/* As the serial core answers. A driver takes of the RS-485 flags those of its mask. */
+/* As the serial core answers. A driver takes of the RS-485 flags those of its mask and keeps those that its hardware never
+ * loses; RS-422 leaves nothing but itself and the termination. */
 static int of_driver(unsigned long request, void *argument)
 {
     switch (request) {
@@ -67,7 +70,11 @@ static int of_driver(unsigned long request, void *argument)
         if (!number("ODD_RS485"))
             break;
         rs485 = *(struct serial_rs485 *)argument;
-        rs485.flags &= number("ODD_RS485");
+        rs485.flags = (rs485.flags & number("ODD_RS485")) | number("ODD_STAYS");
+        if (rs485.flags & MODE_RS422)
+            rs485.flags &= SER_RS485_ENABLED | SER_RS485_TERMINATE_BUS | MODE_RS422;
+        if (!(rs485.flags & SER_RS485_ENABLED))
+            memset(&rs485, 0, sizeof rs485);
         return 0;
     case TIOCGSERIAL:
         serial.baud_base = (int)number("ODD_BASE");

@@ -16,6 +16,8 @@ from typing import Any
 
 import pytest
 
+from dpmaster._core import lib
+
 pytestmark = pytest.mark.tree
 
 HERE = Path(__file__).resolve().parent
@@ -72,24 +74,41 @@ def test_what_a_driver_says_of_its_rates_is_judged(
     assert played(driver, RATES) == [made, repeats]
 
 
-@pytest.mark.parametrize(("mask", "codes"), [
-    ("7", [0, 0]),    # ENABLED, RTS_ON_SEND, RTS_AFTER_SEND
-    ("3", [0, -27]),  # no RTS_AFTER_SEND: DPM_E_RS485
-    ("6", [-27, -27])])
-def test_of_the_rs485_mode_nothing_is_left_that_was_not_meant(played: Played, mask: str, codes: list[int]) -> None:
-    """Protocol page N.2: "The ioctl returns the accepted set: check". RTS at the wrong level keeps a transceiver sending."""
-    found, left = played({**PL011, "rs485": mask}, """
-found, left = [], []
-for direction in 1, 2:
-    fcntl.ioctl(near, 0x542F, bytes(32))  # TIOCSRS485: off
+ENABLED, ON_SEND, AFTER_SEND, RX_DURING_TX, TERMINATE_BUS = 1, 2, 4, 16, 32  # protocol page N.2
+RS422 = 1 << 9  # include/uapi/linux/serial.h, SER_RS485_MODE_RS422 of Linux 6.8
+ANY = ENABLED | ON_SEND | AFTER_SEND | RX_DURING_TX | TERMINATE_BUS | RS422
+# Direction, flags that the driver knows, those that never leave it, those before; code, whether it switches, flags after.
+MODES = [
+    ("AUTO", ANY, 0, ENABLED | ON_SEND, 0, 1, ENABLED | ON_SEND),
+    ("AUTO", ANY, 0, ENABLED | RS422, 0, 0, ENABLED | RS422),
+    ("RS485", ANY, 0, 0, 0, 1, ENABLED | ON_SEND),
+    ("RS485", ANY, 0, ENABLED | AFTER_SEND | RX_DURING_TX, 0, 1, ENABLED | ON_SEND | RX_DURING_TX),
+    ("RS485", ANY, 0, ENABLED | RS422 | TERMINATE_BUS, 0, 1, ENABLED | ON_SEND | TERMINATE_BUS),
+    ("RS485_INVERTED", ANY, 0, ENABLED | RS422, 0, 1, ENABLED | AFTER_SEND),
+    ("RS485", ANY, RS422, ENABLED | RS422, lib.DPM_E_RS485, 0, ENABLED | RS422),
+    ("RS485", ANY, AFTER_SEND, ENABLED | ON_SEND, lib.DPM_E_RS485, 0, ENABLED | ON_SEND | AFTER_SEND),
+    ("RS485", ENABLED | ON_SEND, 0, 0, 0, 1, ENABLED | ON_SEND),
+    ("RS485_INVERTED", ENABLED | ON_SEND, 0, 0, lib.DPM_E_RS485, 0, 0),
+    ("RS485_INVERTED", ENABLED | ON_SEND, 0, ENABLED | ON_SEND, lib.DPM_E_RS485, 0, ENABLED | ON_SEND),
+]
+
+
+def test_what_a_driver_makes_of_the_rs485_mode_is_judged(played: Played) -> None:
+    """Protocol page N.2: "The ioctl returns the accepted set: check". RTS at the wrong level, or RS-422, keeps a transceiver
+    sending over every answer; a mode that is refused is not left behind."""
+    asked = [[getattr(lib, f"DPM_DIRECTION_{mode[0]}"), *mode[1:4]] for mode in MODES]
+    assert played(PL011, f"""
+found = []
+for direction, knows, stays, before in {asked}:
+    os.environ.update(ODD_RS485=str(knows), ODD_STAYS=str(stays))
+    fcntl.ioctl(near, 0x542F, struct.pack("I28x", before))  # TIOCSRS485
     port = Opened(path, direction=direction)
-    found.append(port.code)
+    switches = port.code == 0 and port.info.rs485
     port.close()
-    left.append(struct.unpack_from("I", fcntl.ioctl(near, 0x542E, bytes(32)))[0])
-print(json.dumps([found, left]))
-""")
-    assert found == codes
-    assert left == [0 if code else 1 | level for code, level in zip(codes, (2, 4), strict=True)]
+    flags, = struct.unpack_from("I", fcntl.ioctl(near, 0x542E, bytes(32)))  # TIOCGRS485
+    found.append([port.code, int(switches), flags])
+print(json.dumps(found))
+""") == [list(mode[4:]) for mode in MODES]
 
 
 @pytest.mark.parametrize(("empty", "told"), [(None, [False] * 4), ("1", [True, False, False, False]), ("99", [True] * 4)])
@@ -115,7 +134,7 @@ def test_a_port_that_is_refused_stays_as_it_was(played: Played) -> None:
 before = termios.tcgetattr(near)
 code = Opened(path, rate=3_000_000).code
 print(json.dumps([code, [str(each) for each in before] == [str(each) for each in termios.tcgetattr(near)]]))
-""") == [-26, True]  # DPM_E_RATE
+""") == [lib.DPM_E_RATE, True]
 
 
 def test_who_is_turned_away_does_not_open_the_port_to_others(played: Played) -> None:
@@ -132,4 +151,4 @@ found += [exclusive()]
 fcntl.ioctl(near, termios.TIOCEXCL)  # another program's, which takes no lock
 found += [Opened(path).code, exclusive()]
 print(json.dumps(found))
-""") == [0, 1, -19, 1, 0, -19, 1]  # DPM_E_IN_USE
+""") == [0, 1, lib.DPM_E_IN_USE, 1, 0, lib.DPM_E_IN_USE, 1]

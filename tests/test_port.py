@@ -244,43 +244,6 @@ def test_a_driver_without_rs485_mode_is_an_error_that_leaves_the_port_free(opene
     assert opened(port.path).code == 0
 
 
-ENABLED, ON_SEND, AFTER_SEND, RX_DURING_TX, TERMINATE_BUS = 1, 2, 4, 16, 32  # protocol page N.2
-RS422 = 1 << 9  # include/uapi/linux/serial.h, SER_RS485_MODE_RS422 of Linux 6.8
-
-
-@pytest.fixture(scope="module")
-def driver(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A program that opens a port whose driver has an RS-485 mode."""
-    program = tmp_path_factory.mktemp("rs485") / "rs485"
-    sources = [ROOT / "tests/rs485.c", ROOT / "csrc/linux/port.c", ROOT / "csrc/linux/marks.c"]
-    subprocess.run(["cc", "-std=c11", "-D_GNU_SOURCE", f"-I{ROOT / 'include'}", f"-I{ROOT / 'csrc'}", *sources,
-                    "-Wl,--wrap=ioctl", "-o", program], check=True)
-    return program
-
-
-@pytest.mark.parametrize(("direction", "before", "stays", "code", "switches", "after"), [
-    ("AUTO", ENABLED | ON_SEND, 0, 0, 1, ENABLED | ON_SEND),
-    ("AUTO", ENABLED | RS422, 0, 0, 0, ENABLED | RS422),
-    ("RS485", 0, 0, 0, 1, ENABLED | ON_SEND),
-    ("RS485", ENABLED | AFTER_SEND | RX_DURING_TX, 0, 0, 1, ENABLED | ON_SEND | RX_DURING_TX),
-    ("RS485", ENABLED | RS422 | TERMINATE_BUS, 0, 0, 1, ENABLED | ON_SEND | TERMINATE_BUS),
-    ("RS485_INVERTED", ENABLED | RS422, 0, 0, 1, ENABLED | AFTER_SEND),
-    ("RS485", ENABLED | RS422, RS422, lib.DPM_E_RS485, 0, ENABLED | RS422),
-    ("RS485", ENABLED | ON_SEND, AFTER_SEND, lib.DPM_E_RS485, 0, ENABLED | ON_SEND | AFTER_SEND),
-])
-def test_rs422_is_another_mode_than_rs485(driver: Path, opened: Opener, direction: str, before: int, stays: int, code: int,
-                                          switches: int, after: int) -> None:
-    """Its transmitter never leaves the line. Taken for RS-485 it would talk over every answer; kept beside it, the serial core
-    drops the levels of RTS, and the driver would be said to have no RS-485 mode."""
-    port = opened()
-    path = port.path
-    lib.dpm_port_close(port.port)
-    port.port = None
-    ran = subprocess.run([driver, path, str(getattr(lib, f"DPM_DIRECTION_{direction}")), str(before), str(stays)],
-                         capture_output=True, text=True, check=True)
-    assert ran.stdout.split() == [str(code), str(switches), str(after)]
-
-
 def test_a_pty_promises_nothing_of_a_driver(opened: Opener) -> None:
     info = opened(rate=93_750).info
     assert info.rate == 93_750
