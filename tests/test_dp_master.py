@@ -743,6 +743,42 @@ def test_leaving_does_not_wait_for_a_station_that_is_gone():
     assert bus.master.status.fdl_state == lib.DPM_FDL_OFFLINE
 
 
+def come_back_late(bus: Bus) -> None:
+    """The host was away for longer than a right to talk lasts: the master listens for Tto, and has lost nobody yet."""
+    bus.master.mode(lib.DPM_MODE_OPERATE, bus.script.now)
+    bus.master.commit(0, b"\x11\x11", bus.script.now)
+    bus.exchange()
+    bus.script.now += 50 * MS
+    assert bus.script.next(limit=1, tokens=True) == b""
+    assert (bus.master.status.fdl_state, bus.state) == (lib.DPM_FDL_LISTEN_TOKEN, lib.DPM_ST_DATA)
+
+
+def test_leaving_behind_a_late_host_clears_and_unlocks():
+    """Without a watchdog nothing else would take the outputs away."""
+    bus = Bus()
+    bus.start()
+    come_back_late(bus)
+    bus.master.mode(lib.DPM_MODE_OFFLINE, bus.script.now)
+    assert bus.script.next() == CLEAR
+    assert bus.next()[7:-2] == octets("3D 3E 40 01 01 00 0A 35 00")
+    bus.script.answer(SC)
+    assert bus.script.next(limit=1 * S, tokens=True) == b""
+    assert bus.master.status.mode == lib.DPM_MODE_OFFLINE
+
+
+@pytest.mark.parametrize("leaving", [False, True])
+def test_a_foreign_master_that_a_late_host_hears_has_taken_the_bus(leaving):
+    bus = Bus()
+    bus.start()
+    come_back_late(bus)
+    if leaving:
+        bus.master.mode(lib.DPM_MODE_STOP, bus.script.now)
+    bus.script.answer("DC 05 03", tsdr=40)
+    assert bus.state == lib.DPM_ST_OFFLINE and not bus.master.inputs(0).valid
+    assert [e.a for e in bus.master.events() if e.kind == lib.DPM_EV_FOREIGN] == [3]
+    assert bus.master.status.mode == (lib.DPM_MODE_STOP if leaving else lib.DPM_MODE_OPERATE)
+
+
 def test_a_foreign_master_takes_the_bus_and_all_stations_are_safe_afterwards():
     bus = Bus()
     bus.start()

@@ -645,12 +645,6 @@ void dpm_master_cancel(dpm_master *master, dpm_raw *raw)
 
 /* --- modes ------------------------------------------------------------------------------------------------------- */
 
-/* A slave can be told only by who has the token, now or soon. */
-static bool reachable(const dpm_master *m)
-{
-    return dpm_station_state(&m->station) >= DPM_FDL_ACTIVE_IDLE && m->mode >= DPM_MODE_CLEAR;
-}
-
 /* Unlock what is ours, by the cycle's own means, behind a Global_Control Clear to all. */
 static void leave(dpm_master *m, uint8_t target, int64_t now)
 {
@@ -661,7 +655,7 @@ static void leave(dpm_master *m, uint8_t target, int64_t now)
     m->raw_first = NULL;
     m->current = NULL; /* what is under way was asked on the way in: its answer changes no state any more */
     for (unsigned i = 0; i < m->n_slaves; i++)
-        dpm_slave_leave(m, &m->slaves[i], now, reachable(m));
+        dpm_slave_leave(m, &m->slaves[i], now);
     m->control_due = true;
     m->turn = 0;
     m->cycle_at = now;
@@ -864,7 +858,7 @@ int dpm_master_activate(dpm_master *master, int index, bool active, int64_t now)
     dpm_slave *slave = slave_of(master, index);
     if (!slave)
         return DPM_E_ARGUMENT;
-    dpm_slave_activate(master, slave, now, active, reachable(master));
+    dpm_slave_activate(master, slave, now, active);
     master->station.users_wake = 0;
     master->transfer_at = min_of(master->transfer_at, now);
     return DPM_OK;

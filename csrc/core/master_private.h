@@ -101,10 +101,10 @@ void dpm_slave_request(dpm_master *master, dpm_slave *slave, int64_t now, dpm_re
 void dpm_slave_confirm(dpm_master *master, dpm_slave *slave, int64_t now, const dpm_confirm *confirm);
 /* Gone, for a reason; back to OFFLINE. Slaves that were not there lose nothing. */
 void dpm_slave_lose(dpm_master *master, dpm_slave *slave, int64_t now, uint8_t reason, int32_t detail);
-/* It is left: unlocked (`reachable`), or just forgotten. */
-void dpm_slave_leave(dpm_master *master, dpm_slave *slave, int64_t now, bool reachable);
+/* It is left: unlocked where it is ours, or just forgotten. */
+void dpm_slave_leave(dpm_master *master, dpm_slave *slave, int64_t now);
 /* (De)activated; deactivated it is left. */
-void dpm_slave_activate(dpm_master *master, dpm_slave *slave, int64_t now, bool active, bool reachable);
+void dpm_slave_activate(dpm_master *master, dpm_slave *slave, int64_t now, bool active);
 /* New_Prm. */
 void dpm_slave_new_prm(dpm_master *master, dpm_slave *slave, int64_t now);
 /* Somebody else fetched its diagnosis with our address: the slave takes it for told. */

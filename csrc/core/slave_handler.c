@@ -124,16 +124,16 @@ void dpm_slave_lose(dpm_master *master, dpm_slave *slave, int64_t now, uint8_t r
     slave->diagnosis[0] |= NON_EXISTENT;
 }
 
-void dpm_slave_leave(dpm_master *master, dpm_slave *slave, int64_t now, bool reachable)
+void dpm_slave_leave(dpm_master *master, dpm_slave *slave, int64_t now)
 {
-    /* From PRM on Set_Prm may have locked it to us. */
+    /* From PRM on Set_Prm may have locked it to us. Who has lost the bus has none; who listens behind a pause has them still. */
     const bool ours = slave->state >= DPM_ST_PRM && slave->state != DPM_ST_INACTIVE;
-    enter(master, slave, now, ours && reachable ? DPM_ST_LEAVING : away(slave));
+    enter(master, slave, now, ours ? DPM_ST_LEAVING : away(slave));
     slave->tries = 0;
     slave->not_before = slave->spaced_at < now + LEAVE_WAIT ? slave->spaced_at : now + LEAVE_WAIT;
 }
 
-void dpm_slave_activate(dpm_master *master, dpm_slave *slave, int64_t now, bool active, bool reachable)
+void dpm_slave_activate(dpm_master *master, dpm_slave *slave, int64_t now, bool active)
 {
     if (slave->set.active == active)
         return;
@@ -146,7 +146,7 @@ void dpm_slave_activate(dpm_master *master, dpm_slave *slave, int64_t now, bool 
     dpm_master_drop(master, slave, now);
     if (!active)
         dpm_outputs_make_safe(slave->outputs, master->latched); /* left on purpose: `hold` is for losses */
-    dpm_slave_leave(master, slave, now, reachable);
+    dpm_slave_leave(master, slave, now);
 }
 
 void dpm_slave_new_prm(dpm_master *master, dpm_slave *slave, int64_t now)

@@ -182,7 +182,8 @@ void dpm_station_drop_token(dpm_station *st, uint8_t state, int64_t now, bool lo
 /* A sole master gives way: it is silent until the bus has been so for Tto. */
 static void give_way(dpm_station *st, uint8_t address, int64_t now)
 {
-    const bool lost = st->state != DPM_FDL_LISTEN_TOKEN;
+    const bool lost = st->state != DPM_FDL_LISTEN_TOKEN || st->paused;
+    st->paused = false;
     if (lost) {
         put_event(st, now, DPM_EV_FOREIGN, address, 0, 0);
         st->foreign_gap = 0;
@@ -641,8 +642,10 @@ static void drop_stale_token(dpm_station *st, int64_t now)
     st->statistics.late_dropped += st->tx_kind != DPM_TX_NONE;
     put_event(st, now, DPM_EV_LATE, 0, 0, now - right_ends(st));
     dpm_station_drop_token(st, DPM_FDL_ACTIVE_IDLE, now, false);
-    if (dpm_token_alone(st))
+    if (dpm_token_alone(st)) {
         dpm_token_listen(st, now);
+        st->paused = true;
+    }
     st->last_activity = now;
 }
 

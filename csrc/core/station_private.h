@@ -79,6 +79,7 @@ struct dpm_station {
     bool listened;         /* Listen_Token: one rotation was seen whole */
     bool ready;            /* Listen_Token: the LAS was the same in two rotations */
     bool ready_told;       /* the answer in tx says "ready" */
+    bool paused;           /* Listen_Token: our own silence was too long, and nobody has shown to have the bus */
     uint8_t own_heard;     /* tokens with our address that we did not send, in a row */
     int16_t stranger;      /* sent us a token though it is not PS; -1 none */
     uint8_t suspect_da;    /* whom the suspect's token was for */

@@ -83,6 +83,7 @@ void dpm_token_listen(dpm_station *station, int64_t now)
     station->listened = false;
     station->token_at = -1;
     station->ready = false;
+    station->paused = false;
     station->own_heard = 0;
     station->stranger = -1;
     station->ring.duplicate = false;
