@@ -315,7 +315,7 @@ VALUES = st.recursive(
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(KEYS), inner, max_size=3), max_leaves=6)
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(where=st.sampled_from([(), ("bus",), ("bus", "parameters"), ("station", 0), ("station", 1), ("station", 2),
                               ("station", 1, "inputs", "Tank")]), key=st.sampled_from(KEYS), value=VALUES)
 def test_any_file_gives_a_bus_or_faults(write: Callable[..., Path], where: tuple[str | int, ...], key: str, value: Any) -> None:

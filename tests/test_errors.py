@@ -146,8 +146,8 @@ def test_a_wait_raises_what_the_library_refuses() -> None:
 def test_ctrl_c_leaves_a_wait_without_end() -> None:
     counter = Counter()
     timer = threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGINT))
-    timer.start()
     with pytest.raises(KeyboardInterrupt):
+        timer.start()
         _core.wait_slices(counter.wait, lambda: 0, lambda: None, None)
     timer.join()
 

@@ -336,9 +336,9 @@ def test_a_jokerblock_is_kept_as_it_stands() -> None:
 @needs_files
 def test_1295_modules_are_read_in_a_blink() -> None:
     def seconds(text: str) -> float:
-        begin = time.perf_counter()
+        begin = time.process_time()
         GSD.parse(text)
-        return time.perf_counter() - begin
+        return time.process_time() - begin
 
     whole = path("B756_P33.GSD").read_text()
     assert len(GSD.parse(whole).modules) == 1295
@@ -436,7 +436,7 @@ LINES = st.sampled_from(GRAMMAR.split("\n"))
 
 
 @given(st.lists(st.one_of(LINES, LINES, st.text(max_size=20)), max_size=40).map("\n".join) | st.text() | st.binary())
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_any_text_gives_a_model_and_findings(content: str | bytes) -> None:
     gsd = GSD.parse(content)
     assert gsd.modules or gsd.findings

@@ -9,9 +9,11 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from waiting import until
 
 from dpmaster import ConfigurationError, Master, Realtime, Scheduling
 from dpmaster._core import ffi, lib
@@ -49,9 +51,19 @@ may = pytest.mark.skipif(not granted(), reason="SCHED_FIFO is not for this user:
 
 
 def thread(name: str) -> int:
-    """The one thread of this process with that name."""
-    (found,) = [task for task in Path("/proc/self/task").iterdir() if (task / "comm").read_text().strip() == name]
-    return int(found.name)
+    """The one thread of this process with that name, once the kernel has taken those that were joined off its list."""
+    found: list[int] = []
+
+    def alone() -> bool:
+        found.clear()
+        for task in Path("/proc/self/task").iterdir():
+            with suppress(OSError):
+                if (task / "comm").read_text().strip() == name:
+                    found.append(int(task.name))
+        return len(found) == 1
+
+    until(alone)
+    return found[0]
 
 
 def locked() -> int:

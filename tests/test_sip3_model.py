@@ -259,4 +259,4 @@ class Requests(RuleBasedStateMachine):
 
 
 TestRequests = Requests.TestCase
-TestRequests.settings = settings(max_examples=int(os.environ.get("DPM_REQUESTS", "60")), stateful_step_count=25, deadline=None)
+TestRequests.settings = settings(max_examples=int(os.environ.get("DPM_REQUESTS", "60")), stateful_step_count=25)

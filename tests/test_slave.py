@@ -554,7 +554,7 @@ GOOD = [
 ]
 
 
-@settings(max_examples=200, deadline=None, print_blob=True)
+@settings(max_examples=200)
 @given(st.lists(st.binary(min_size=1, max_size=60), max_size=5))
 def test_random_octets_change_counters_only(chunks: list[bytes]) -> None:
     rig, master = running()
@@ -634,7 +634,7 @@ class RandomMaster:
             lib.dpm_slaves_connect(rig.slaves, 0, True)
 
 
-@settings(max_examples=150, deadline=None, print_blob=True)
+@settings(max_examples=150)
 @given(st.lists(st.tuples(STEPS, st.sampled_from(WRITTEN)), max_size=40), st.frozensets(st.sampled_from(HABITS)))
 def test_outputs_are_what_was_written_or_zeros(steps: list[tuple[str, bytes]], habits: frozenset[str]) -> None:
     """Invariant 1 of the design: "what one commit of the application wrote, or safe"; whatever the slave's habits."""
