@@ -743,6 +743,42 @@ def test_leaving_does_not_wait_for_a_station_that_is_gone():
     assert bus.master.status.fdl_state == lib.DPM_FDL_OFFLINE
 
 
+UNLOCK = octets("3D 3E 40 01 01 00 0A 35 00")  # as B.4 #62
+
+
+def unlocked(bus: Bus) -> None:
+    """Tokens of who claims the bus, Clear to all, Unlock; and nothing else."""
+    assert bus.script.next() == CLEAR
+    assert bus.script.next()[7:-2] == UNLOCK
+    bus.script.answer(SC)
+    assert bus.script.next(limit=1 * S) == b""
+    assert bus.master.status.mode == lib.DPM_MODE_STOP and bus.state == lib.DPM_ST_OFFLINE
+
+
+@pytest.mark.parametrize("when", ["before", "before, and it talks once more", "behind Clear", "behind Unlock"])
+def test_leaving_waits_for_a_token_that_was_lost(when):
+    """A slave that is ours holds its last outputs, with its watchdog off for ever: it is told as soon as the bus is silent."""
+    bus = Bus()
+    bus.start()
+    bus.master.mode(lib.DPM_MODE_OPERATE, bus.script.now)
+    bus.exchange()
+    if when.startswith("behind"):
+        bus.master.mode(lib.DPM_MODE_STOP, bus.script.now)
+        assert bus.script.next() == CLEAR
+    if when == "behind Unlock":
+        assert bus.script.next()[7:-2] == UNLOCK
+    bus.script.answer("DC 05 03", tsdr=40)
+    bus.script.silence(bus.script.bits(201))  # in the slot of Unlock the token might yet turn into an answer
+    if when.startswith("before"):
+        assert bus.state == lib.DPM_ST_OFFLINE
+        bus.master.mode(lib.DPM_MODE_STOP, bus.script.now)
+    if when.endswith("more"):
+        assert bus.script.next(limit=bus.script.bits(400), tokens=True) == b""
+        bus.script.answer("DC 05 03", tsdr=40)
+    assert bus.state == lib.DPM_ST_LEAVING and bus.master.status.fdl_state == lib.DPM_FDL_LISTEN_TOKEN
+    unlocked(bus)
+
+
 def come_back_late(bus: Bus) -> None:
     """The host was away for longer than a right to talk lasts: the master listens for Tto, and has lost nobody yet."""
     bus.master.mode(lib.DPM_MODE_OPERATE, bus.script.now)
@@ -753,30 +789,121 @@ def come_back_late(bus: Bus) -> None:
     assert (bus.master.status.fdl_state, bus.state) == (lib.DPM_FDL_LISTEN_TOKEN, lib.DPM_ST_DATA)
 
 
-def test_leaving_behind_a_late_host_clears_and_unlocks():
-    """Without a watchdog nothing else would take the outputs away."""
+@pytest.mark.parametrize("foreign", [False, True])
+def test_leaving_behind_a_late_host_waits_for_the_token_as_well(foreign):
     bus = Bus()
     bus.start()
     come_back_late(bus)
-    bus.master.mode(lib.DPM_MODE_OFFLINE, bus.script.now)
-    assert bus.script.next() == CLEAR
-    assert bus.next()[7:-2] == octets("3D 3E 40 01 01 00 0A 35 00")
-    bus.script.answer(SC)
-    assert bus.script.next(limit=1 * S, tokens=True) == b""
-    assert bus.master.status.mode == lib.DPM_MODE_OFFLINE
+    bus.master.mode(lib.DPM_MODE_STOP, bus.script.now)
+    if foreign:
+        bus.script.answer("DC 05 03", tsdr=40)
+    unlocked(bus)
 
 
-@pytest.mark.parametrize("leaving", [False, True])
-def test_a_foreign_master_that_a_late_host_hears_has_taken_the_bus(leaving):
+def test_a_foreign_master_that_a_late_host_hears_has_taken_the_bus():
     bus = Bus()
     bus.start()
     come_back_late(bus)
-    if leaving:
-        bus.master.mode(lib.DPM_MODE_STOP, bus.script.now)
     bus.script.answer("DC 05 03", tsdr=40)
     assert bus.state == lib.DPM_ST_OFFLINE and not bus.master.inputs(0).valid
     assert [e.a for e in bus.master.events() if e.kind == lib.DPM_EV_FOREIGN] == [3]
-    assert bus.master.status.mode == (lib.DPM_MODE_STOP if leaving else lib.DPM_MODE_OPERATE)
+    assert bus.master.status.mode == lib.DPM_MODE_OPERATE
+
+
+@pytest.mark.parametrize("since", [1, 100])
+def test_leaving_does_not_wait_for_a_token_that_others_keep(since):
+    bus = Bus()
+    bus.start()
+
+    def others() -> None:
+        bus.script.answer("DC 05 03", tsdr=40)
+        assert bus.script.next(limit=MS, tokens=True) == b""
+
+    for _ in range(since):
+        others()
+    begin = bus.script.now
+    bus.master.mode(lib.DPM_MODE_STOP, begin)
+    while bus.master.status.mode != lib.DPM_MODE_STOP:
+        assert bus.script.now - begin < 20 * MS
+        others()
+    assert bus.state == lib.DPM_ST_OFFLINE and bus.script.now - begin > bus.script.bits(2000)
+
+
+def test_leaving_waits_for_a_token_half_a_second_at_most():
+    bus = Bus(allowance=600 * MS)
+    bus.start()
+    bus.script.answer("DC 05 03", tsdr=40)
+    bus.master.mode(lib.DPM_MODE_STOP, bus.script.now)
+    assert bus.script.next(limit=499 * MS, tokens=True) == b"" and bus.state == lib.DPM_ST_LEAVING
+    assert bus.script.next(limit=2 * MS, tokens=True) == b"" and bus.master.status.mode == lib.DPM_MODE_STOP
+
+
+def test_a_token_lost_long_after_the_way_out_began_is_waited_for():
+    bus = Bus(slave={"min_slave_interval": 1000})  # 0.1 s
+    bus.script.next()
+    for answer in (FREE, SC, SC, READY):
+        bus.next()
+        bus.script.answer(answer)
+    bus.next()
+    bus.script.answer(SC)
+    bus.master.mode(lib.DPM_MODE_STOP, bus.script.now)
+    assert bus.script.next() == CLEAR
+    assert bus.script.next(limit=50 * MS) == b""
+    bus.script.answer("DC 05 03", tsdr=40)
+    unlocked(bus)
+
+
+def test_leaving_does_not_wait_for_a_port_that_vanished():
+    bus = Bus()
+    bus.start()
+    bus.master.mode(lib.DPM_MODE_STOP, bus.script.now)
+    assert bus.script.next() == CLEAR
+    lib.dpm_master_port(bus.master.master, False, bus.script.now)
+    assert bus.master.status.mode == lib.DPM_MODE_STOP and bus.state == lib.DPM_ST_OFFLINE
+
+
+@pytest.mark.parametrize("deactivate", [False, True])
+def test_a_station_that_was_lost_is_unlocked_all_the_same(deactivate):
+    """It did not answer twice; that does not mean that it did not hear."""
+    bus = Bus(control_interval=200 * S)
+    bus.start()
+    lose(bus)
+    if deactivate:
+        lib.dpm_master_activate(bus.master.master, 0, False, bus.script.now)
+        assert bus.next()[7:-2] == UNLOCK
+        bus.script.answer(SC)
+        assert bus.state == lib.DPM_ST_INACTIVE
+    else:
+        bus.master.mode(lib.DPM_MODE_STOP, bus.script.now)
+        unlocked(bus)
+
+
+def test_who_does_not_hear_the_unlock_is_not_asked_again():
+    bus = Bus(control_interval=200 * S)
+    bus.start()
+    lose(bus)
+    lib.dpm_master_activate(bus.master.master, 0, False, bus.script.now)
+    assert bus.next()[7:-2] == UNLOCK
+    bus.script.silence(bus.script.bits(201))
+    assert bus.state == lib.DPM_ST_INACTIVE
+    bus.master.mode(lib.DPM_MODE_STOP, bus.script.now)
+    assert bus.script.next(limit=1 * S) in (b"", CLEAR) and bus.master.status.mode == lib.DPM_MODE_STOP
+
+
+@pytest.mark.parametrize("owner", [0x02, 0x05, 0xFF])
+def test_only_what_is_ours_is_unlocked(owner):
+    """It was lost and says, when it is back, whose it is."""
+    bus = Bus()
+    bus.start()
+    lose(bus)
+    assert bus.next()[7] == 0x3C
+    bus.script.answer(diagnosis(0x00, 0x05, 0x00, owner, 0x0A, 0x35))
+    bus.master.mode(lib.DPM_MODE_STOP, bus.script.now)
+    if owner == 2:
+        unlocked(bus)
+    else:
+        assert bus.script.next(limit=1 * S) in (b"", CLEAR)
+        assert bus.master.status.mode == lib.DPM_MODE_STOP
 
 
 def test_a_foreign_master_takes_the_bus_and_all_stations_are_safe_afterwards():

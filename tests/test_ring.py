@@ -346,23 +346,32 @@ def test_who_left_the_bus_hears_nothing_more(behind):
     assert bus.script.next(limit=1 * S, tokens=True) == b""
 
 
-def test_who_loses_the_ring_on_its_way_out_stays_out():
-    """There is nobody left to unlock, so it is Offline at once, and does not listen to enter again."""
+@pytest.mark.parametrize("others", [False, True], ids=["a silent bus", "others go on"])
+def test_who_loses_the_ring_on_its_way_out_waits_for_it_and_no_longer(others):
+    """Who is ours is unlocked when the token comes back; when it does not, it is Offline and does not come back itself."""
     bus = Bus()
     bus.master.add(30, 1, octets("21"))
     bus.entered()
     bus.master.mode(lib.DPM_MODE_CLEAR, bus.script.now)
-    while (sent := bus.script.next(tokens=True))[4] != 0x80 | 30:
+    while (sent := bus.script.next(tokens=True))[7:8] != b"\x3d":  # Set_Prm: from now on it may be ours
         if sent == token(9, 5):
             bus.script.answer(token(2, 9), tsdr=37)
             bus.script.answer(token(5, 2), tsdr=37)
-    bus.script.answer(diagnosis(0x02, 0x05, 0x00, 0xFF, 0x00, 0x01, da=5, sa=30))
+        if sent[7:8] == b"\x3c":
+            bus.script.answer(diagnosis(0x02, 0x05, 0x00, 0xFF, 0x00, 0x01, da=5, sa=30))
     bus.master.mode(lib.DPM_MODE_OFFLINE, bus.script.now)
-    assert bus.master.slave(0).state == lib.DPM_ST_LEAVING
     for _ in range(2):
         bus.script.answer(token(9, 5), tsdr=50)
-    assert bus.master.status.mode == lib.DPM_MODE_OFFLINE and bus.state == lib.DPM_FDL_OFFLINE
+    assert (bus.state, bus.master.slave(0).state) == (lib.DPM_FDL_LISTEN_TOKEN, lib.DPM_ST_LEAVING)
+    if others:
+        for _ in range(1000):
+            bus.script.answer(token(9, 9), tsdr=37)
+    else:
+        assert bus.script.next()[6:9] == octets("46 3A 3E"), "Global_Control, Clear"
+        assert bus.script.next()[7:10] == octets("3D 3E 40"), "Unlock"
+        bus.script.answer(b"\xe5")
     assert bus.script.next(limit=1 * S, tokens=True) == b""
+    assert bus.master.status.mode == lib.DPM_MODE_OFFLINE and bus.state == lib.DPM_FDL_OFFLINE
 
 
 @pytest.mark.parametrize("role", [RING, lib.DPM_ROLE_SOLE])

@@ -514,7 +514,7 @@ def test_a_second_ctrl_c_skips_the_stop_word_but_not_clear_and_unlock(wire: Segm
 
 
 def test_a_master_nobody_keeps_unlocks_its_stations(wire: Segment, cards: list[Echo]) -> None:
-    master = Master(wire.port(), allowance=0.1)  # one that was lost is not left
+    master = Master(wire.port())
     master.add(Station(5, IDENT, CONFIGURATION, watchdog=None))
     master.operate()
     assert wire.report(cards[0]).master == 1

@@ -15,6 +15,8 @@
 #define HOUR 3600000000000 /* ns; the longest time a caller may set */
 /* A cycle in which no slave was asked is not repeated before this has passed, ns. */
 #define EMPTY_CYCLE 1000000
+/* And the longest wait, ns, for a token to unlock slaves with: leaving is bounded. */
+#define PATIENCE 500000000
 /* The output watchdog's clock: ns of a tick, and ticks by which a feed may be ahead of the bus thread's last look. */
 enum { TICK = 1 << 18, AHEAD = 1 << 14 };
 
@@ -466,6 +468,30 @@ static void finish_leaving(dpm_master *m, int64_t now)
         dpm_station_online(&m->station, false, now);
 }
 
+bool dpm_master_may_tell(const dpm_master *master)
+{
+    return dpm_station_state(&master->station) >= DPM_FDL_LISTEN_TOKEN && master->mode >= DPM_MODE_CLEAR;
+}
+
+int64_t dpm_master_patience(const dpm_master *master, int64_t now)
+{
+    return now + min_of(2 * dpm_station_patience(&master->station), PATIENCE);
+}
+
+/* Until when those that are left wait to be told so, while we have no token. */
+static int64_t leave_by(const dpm_master *m)
+{
+    return dpm_station_state(&m->station) == DPM_FDL_LISTEN_TOKEN ? m->leave_by : DPM_NEVER;
+}
+
+static void forget_leaving(dpm_master *m, int64_t now)
+{
+    for (unsigned i = 0; i < m->n_slaves; i++)
+        dpm_slave_forget(m, &m->slaves[i], now);
+    m->leave_by = DPM_NEVER;
+    finish_leaving(m, now);
+}
+
 static int master_next(void *context, int64_t now, dpm_request *request, int64_t *wake)
 {
     dpm_master *m = context;
@@ -530,8 +556,11 @@ static void master_token(void *context, int64_t now, bool held)
     if (held)
         return;
     lose_all(m, now);
+    m->control_due |= m->leaving; /* nobody knows who has heard it */
+    m->leave_by = dpm_master_patience(m, now);
     finish_leaving(m, now);
     if (dpm_station_state(&m->station) == DPM_FDL_OFFLINE) { /* another station has our address, or the port is deaf and dumb */
+        forget_leaving(m, now);
         make_outputs_safe(m, false, now);
         enter_mode(m, DPM_MODE_OFFLINE, now);
     }
@@ -704,9 +733,9 @@ void dpm_master_port(dpm_master *master, bool working, int64_t now)
     lose_all(master, now);
     /* No output of a commit is alive: until one is again, a program that waits for its port has not hung. */
     atomic_store_explicit(&master->armed, false, memory_order_release);
+    forget_leaving(master, now);
     if (working && master->mode != DPM_MODE_OFFLINE)
         dpm_station_online(&master->station, true, now);
-    finish_leaving(master, now);
 }
 
 /* --- the machine -------------------------------------------------------------------------------------------------- */
@@ -717,8 +746,10 @@ static void master_ask(dpm_machine *machine, int64_t now, dpm_offer *offer)
     m->asked_at = now;
     judge_watchdog(m, now);
     judge_transfer(m, now);
+    if (now >= leave_by(m))
+        forget_leaving(m, now);
     m->station_ask(machine, now, offer);
-    offer->wake = min_of(offer->wake, min_of(watchdog_at(m, now), auto_clear_at(m)));
+    offer->wake = min_of(offer->wake, min_of(leave_by(m), min_of(watchdog_at(m, now), auto_clear_at(m))));
     refuse_raw(m);
 }
 
@@ -743,6 +774,7 @@ int dpm_master_init(void *block, size_t size, const dpm_master_config *config, d
     m->config = *config;
     m->port_works = true;
     m->auto_cleared = -1;
+    m->leave_by = DPM_NEVER;
     m->station_ask = station->machine.ask;
     station->machine.ask = master_ask;
     const dpm_fdl_user dp = {.context = m, .next = master_next, .confirm = master_confirm, .token = master_token};

@@ -22,6 +22,7 @@ typedef struct dpm_slave {
     uint8_t asked;          /* enum dpm_service */
     uint8_t reason;         /* enum dpm_reason */
     int32_t detail;
+    bool locked;            /* Set_Prm went out, and nothing since then says that it is not ours */
     bool diagnosis_pending; /* DH came, or static diagnosis stands */
     bool cleared;           /* by order: zeros, or nothing, though the master operates */
     bool owes;              /* an order waits for its next Data_Exchange ... */
@@ -57,6 +58,7 @@ struct dpm_master {
     dpm_master_config config;
     uint8_t mode, target; /* enum dpm_mode; target while leaving */
     bool leaving;
+    int64_t leave_by;     /* without the token until then, those that are left cannot be told */
     bool latched;
     uint8_t latched_by;   /* what had fed the output watchdog when it ran out */
     bool port_works;
@@ -101,8 +103,9 @@ void dpm_slave_request(dpm_master *master, dpm_slave *slave, int64_t now, dpm_re
 void dpm_slave_confirm(dpm_master *master, dpm_slave *slave, int64_t now, const dpm_confirm *confirm);
 /* Gone, for a reason; back to OFFLINE. Slaves that were not there lose nothing. */
 void dpm_slave_lose(dpm_master *master, dpm_slave *slave, int64_t now, uint8_t reason, int32_t detail);
-/* It is left: unlocked where it is ours, or just forgotten. */
+/* It is left: unlocked if it is ours and may be told so, until `dpm_slave_forget`. */
 void dpm_slave_leave(dpm_master *master, dpm_slave *slave, int64_t now);
+void dpm_slave_forget(dpm_master *master, dpm_slave *slave, int64_t now);
 /* (De)activated; deactivated it is left. */
 void dpm_slave_activate(dpm_master *master, dpm_slave *slave, int64_t now, bool active);
 /* New_Prm. */
@@ -119,6 +122,10 @@ void dpm_slave_space(dpm_slave *slave, int64_t now);
 /* Outputs of a commit made at `time` are alive: from now on the output watchdog watches the program. False: they must not
  * be, for it has not stood by them for longer than that, and nothing of a commit was alive that could have shown it. */
 bool dpm_master_arm(dpm_master *master, int64_t time);
+/* The token is here, or may come. */
+bool dpm_master_may_tell(const dpm_master *master);
+/* Until when, from now on, who has no token waits for it to tell the slaves that are left: a silent bus is claimed sooner. */
+int64_t dpm_master_patience(const dpm_master *master, int64_t now);
 bool dpm_master_exchanges(const dpm_master *master);
 /* The answer to what is under way for this slave changes its state no more; outputs are not sent again. */
 void dpm_master_drop(dpm_master *master, const dpm_slave *slave, int64_t now);

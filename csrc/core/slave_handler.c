@@ -117,8 +117,10 @@ void dpm_slave_lose(dpm_master *master, dpm_slave *slave, int64_t now, uint8_t r
 {
     if (slave->state == DPM_ST_OFFLINE || slave->state == DPM_ST_INACTIVE)
         return;
-    fall_back(master, slave, now, away(slave), reason, detail);
     dpm_station_restart(&master->station, slave->set.address);
+    if (slave->state == DPM_ST_LEAVING)
+        return; /* nobody exchanges with it, and it is to be unlocked yet */
+    fall_back(master, slave, now, away(slave), reason, detail);
     slave->tries = 0;
     slave->refusals = 0;
     slave->diagnosis[0] |= NON_EXISTENT;
@@ -126,11 +128,16 @@ void dpm_slave_lose(dpm_master *master, dpm_slave *slave, int64_t now, uint8_t r
 
 void dpm_slave_leave(dpm_master *master, dpm_slave *slave, int64_t now)
 {
-    /* From PRM on Set_Prm may have locked it to us. Who has lost the bus has none; who listens behind a pause has them still. */
-    const bool ours = slave->state >= DPM_ST_PRM && slave->state != DPM_ST_INACTIVE;
-    enter(master, slave, now, ours ? DPM_ST_LEAVING : away(slave));
+    enter(master, slave, now, slave->locked && dpm_master_may_tell(master) ? DPM_ST_LEAVING : away(slave));
+    master->leave_by = dpm_master_patience(master, now);
     slave->tries = 0;
     slave->not_before = slave->spaced_at < now + LEAVE_WAIT ? slave->spaced_at : now + LEAVE_WAIT;
+}
+
+void dpm_slave_forget(dpm_master *master, dpm_slave *slave, int64_t now)
+{
+    if (slave->state == DPM_ST_LEAVING)
+        enter(master, slave, now, away(slave));
 }
 
 void dpm_slave_activate(dpm_master *master, dpm_slave *slave, int64_t now, bool active)
@@ -247,6 +254,7 @@ void dpm_slave_request(dpm_master *master, dpm_slave *slave, int64_t now, dpm_re
                              .retries = master->config.station.parameters.max_retry_limit};
     switch (slave->asked) {
     case DPM_ASK_PRM:
+        slave->locked = true; /* it may be, whatever becomes of the answer */
         request->dsap = DPM_SAP_SET_PRM;
         request->length = build_set_prm(slave, master->pdu);
         break;
@@ -399,6 +407,7 @@ static void confirm_diagnosis(dpm_master *m, dpm_slave *slave, int64_t now, cons
         break;
     case DPM_ST_OFFLINE:
     case DPM_ST_DIAG1:
+        slave->locked &= slave->diagnosis[3] == m->config.station.address;
         judge_first_diagnosis(m, slave, now);
         break;
     default:
@@ -478,6 +487,7 @@ static void confirm_answer(dpm_master *m, dpm_slave *slave, int64_t now, const d
 {
     slave->tries = 0;
     if (slave->asked == DPM_ASK_UNLOCK) {
+        slave->locked = false;
         enter(m, slave, now, away(slave));
         return;
     }
@@ -522,6 +532,7 @@ void dpm_slave_confirm(dpm_master *master, dpm_slave *slave, int64_t now, const 
     if (may_be_missed(master, slave, confirm->tries))
         return;
     if (slave->state == DPM_ST_LEAVING) {
+        slave->locked = false; /* for all that we know: it is not asked again */
         enter(master, slave, now, away(slave));
     } else if (slave->state != DPM_ST_OFFLINE) {
         dpm_slave_lose(master, slave, now, DPM_WHY_NO_ANSWER, slave->state);

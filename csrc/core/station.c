@@ -87,6 +87,8 @@ static int64_t claim_at(const dpm_station *st)
     return max_of(silence_ends(st), st->last_activity + max_of(6 * st->late_slot, 4 * st->foreign_gap));
 }
 
+int64_t dpm_station_patience(const dpm_station *station) { return claim_at(station) - station->last_activity; }
+
 /* The latest moment at which our right to talk still stands. In the ring the predecessor sends its token again when we
  * do not begin within its slot; later, and whenever we are alone, others may take the token for lost after Tto. */
 static int64_t right_ends(const dpm_station *st)

@@ -134,6 +134,8 @@ void dpm_token_listen(dpm_station *station, int64_t now);
 
 /* The token is ours, or claimed. */
 bool dpm_station_talks(const dpm_station *station);
+/* Silence, ns, behind which a station without the token claims it. */
+int64_t dpm_station_patience(const dpm_station *station);
 void dpm_station_enter(dpm_station *station, uint8_t state, int64_t now);
 /* A turn of the token begins: users may send. */
 void dpm_station_begin_turn(dpm_station *station, int64_t now);
