@@ -396,7 +396,8 @@ def test_an_open_master_ends_before_the_segment_it_is_on() -> None:
     """At an interactive prompt nobody writes `with`: the drive is stopped, and nobody sees the port vanish."""
     program = ("from dpmaster import Master; from dpmaster.drives import YaskawaV7; from dpmaster.emulator import Segment\n"
                "from dpmaster.emulator.cards import SIP1\n"
-               "wire = Segment(); card = wire.attach(SIP1(5)); master = Master(wire.port()); drive = master.add(YaskawaV7(5))\n"
+               "wire = Segment(); card = wire.attach(SIP1(5)); master = Master(wire.port(), allowance=0.1)\n"
+               "drive = master.add(YaskawaV7(5, watchdog=5.0))\n"
                "master.operate(20.0); drive.run(5.0)\n"
                "card.detached = lambda: print(card.motor.target)\n")
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
