@@ -25,7 +25,7 @@ from dp_bus import (
     lose,
     restart,
 )
-from wire import MS, Master, Offer, S, Script, default_parameters, lib, octets
+from wire import MS, Master, Offer, S, Script, Slaves, Wire, default_parameters, feed, lib, octets
 
 # --- start-up -------------------------------------------------------------------------------------------------------
 
@@ -851,6 +851,67 @@ def test_a_token_lost_long_after_the_way_out_began_is_waited_for():
     assert bus.script.next(limit=50 * MS) == b""
     bus.script.answer("DC 05 03", tsdr=40)
     unlocked(bus)
+
+
+@pytest.mark.parametrize("asked", [False, True])
+def test_a_host_that_is_late_on_the_way_out_goes_on_with_it(asked):
+    """Whether it is away before the Unlock or with it in hand; it then waits for Tto, and for no fixed cycle time."""
+    bus = Bus(slave={"min_slave_interval": 1000}, cycle_time=10 * S)  # 0.1 s
+    bus.script.next()
+    for answer in (FREE, SC, SC, READY, SC):
+        bus.next(limit=11 * S)
+        bus.script.answer(answer)
+    bus.master.mode(lib.DPM_MODE_STOP, bus.script.now)
+    assert bus.script.next() == CLEAR
+    assert bus.script.next(limit=50 * MS) == b""
+    while asked and (offer := Offer(bus.script.machine, bus.script.now)).octets[7:-2] != UNLOCK:
+        if offer.octets:
+            assert bus.script.next(tokens=True)[0] == 0xDC
+        else:
+            bus.script.silence(offer.wake - bus.script.now)
+    bus.script.now += 50 * MS
+    assert bus.script.next(limit=1) == b""
+    assert bus.master.status.fdl_state == lib.DPM_FDL_LISTEN_TOKEN and bus.state == lib.DPM_ST_LEAVING
+    assert bus.script.next(limit=1 * S)[7:-2] == UNLOCK
+
+
+def plant(stations: int, silent: int, foreign: bool = False) -> tuple[Master, Wire, Slaves]:
+    """Stations from address 2 on that have exchanged data, without a watchdog; the first of them do not answer any more,
+    `foreign`: do not come back when another master's token has cost us the bus."""
+    master, slaves = Master(500_000, allowance=20 * MS), Slaves(500_000)
+    for address in range(2, 2 + stations):
+        master.add(address, 0x0A35, b"\x21")
+        slaves.add(address, 0x0A35, b"\x21")
+    wire = Wire(master.parameters, master.machine, slaves.machine)
+    master.mode(lib.DPM_MODE_CLEAR)
+    wire.run_until(lambda: all(master.slave(i).state == lib.DPM_ST_DATA for i in range(stations)) and wire.log[-1].source == 1)
+    if foreign:
+        feed(master.machine, octets("DC 05 03"), wire.now, wire.character)
+        assert master.slave(0).reason == lib.DPM_WHY_BUS
+    wire.mangle = lambda sent: b"" if sent.octets[0] == 0x68 and sent.octets[4] & 0x7F in range(2, 2 + silent) else None
+    wire.run_until(lambda: all(master.slave(i).statistics.unanswered for i in range(silent)) and
+                   all(master.slave(i).state == lib.DPM_ST_DATA for i in range(silent, stations)))
+    return master, wire, slaves
+
+
+@pytest.mark.parametrize("foreign", [False, True])
+def test_who_was_silent_is_unlocked_behind_the_others(foreign):
+    """A part of the plant without power must not keep the rest of it waiting: a slot here has 20 ms."""
+    master, wire, _slaves = plant(6, silent=3, foreign=foreign)
+    begin = wire.now
+    master.mode(lib.DPM_MODE_STOP, begin)
+    wire.run_until(lambda: master.status.mode == lib.DPM_MODE_STOP)
+    unlocks = [sent for sent in wire.log if sent.start >= begin and sent.octets[7:10] == UNLOCK[:3]]
+    assert [sent.octets[4] & 0x7F for sent in unlocks] == [5, 6, 7, 2, 3, 4]
+    assert unlocks[2].end - begin < 30 * MS, "one slot was under way"
+
+
+def test_the_silent_are_given_half_a_second():
+    master, wire, _slaves = plant(40, silent=39)
+    begin = wire.now
+    master.mode(lib.DPM_MODE_STOP, begin)
+    wire.run_until(lambda: master.status.mode == lib.DPM_MODE_STOP)
+    assert 500 * MS < wire.now - begin < 550 * MS
 
 
 def test_leaving_does_not_wait_for_a_port_that_vanished():

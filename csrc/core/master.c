@@ -15,7 +15,7 @@
 #define HOUR 3600000000000 /* ns; the longest time a caller may set */
 /* A cycle in which no slave was asked is not repeated before this has passed, ns. */
 #define EMPTY_CYCLE 1000000
-/* And the longest wait, ns, for a token to unlock slaves with: leaving is bounded. */
+/* Leaving is bounded: the longest wait for a token to unlock slaves with, and for slaves that were silent, ns. */
 #define PATIENCE 500000000
 /* The output watchdog's clock: ns of a tick, and ticks by which a feed may be ahead of the bus thread's last look. */
 enum { TICK = 1 << 18, AHEAD = 1 << 14 };
@@ -402,8 +402,15 @@ void dpm_master_revoke(dpm_master *master, dpm_control *control)
 
 /* --- the slaves' turns --------------------------------------------------------------------------------------------- */
 
-/* The slaves' turn; one that may not be asked yet (Min_Slave_Interval) keeps its place until then, also on the way out,
- * which is one cycle. */
+static bool ask_slave(dpm_master *m, dpm_slave *slave, int64_t now, dpm_request *request)
+{
+    m->asked++;
+    m->errand = DPM_ERRAND_SLAVE;
+    dpm_slave_request(m, slave, now, request);
+    return true;
+}
+
+/* The slaves' turn; one that may not be asked yet (Min_Slave_Interval) keeps its place until then. */
 static bool slave_request(dpm_master *m, int64_t now, dpm_request *request, int64_t *wake)
 {
     for (; m->turn < m->n_slaves; m->turn++) {
@@ -411,19 +418,33 @@ static bool slave_request(dpm_master *m, int64_t now, dpm_request *request, int6
         if (!dpm_slave_wants(slave) || slave == m->raw_first)
             continue;
         if (now < slave->not_before) {
-            if (slave->state == DPM_ST_DATA || m->leaving) {
+            if (slave->state == DPM_ST_DATA) {
                 *wake = min_of(*wake, slave->not_before);
                 return false;
             }
             continue;
         }
-        m->asked++;
         m->turn++;
-        m->errand = DPM_ERRAND_SLAVE;
-        dpm_slave_request(m, slave, now, request);
-        return true;
+        return ask_slave(m, slave, now, request);
     }
     return false;
+}
+
+/* The way out, which no fixed cycle time delays. Those that did not answer come last: the slots of a plant without power
+ * would keep the others waiting. */
+static bool unlock_request(dpm_master *m, int64_t now, dpm_request *request, int64_t *wake)
+{
+    dpm_slave *found = NULL;
+    for (unsigned i = 0; i < m->n_slaves; i++) {
+        dpm_slave *slave = &m->slaves[i];
+        if (slave->state != DPM_ST_LEAVING)
+            continue;
+        if (now < slave->not_before)
+            *wake = min_of(*wake, slave->not_before);
+        else if (!found || (found->silent && !slave->silent))
+            found = slave;
+    }
+    return found && ask_slave(m, found, now, request);
 }
 
 /* One absent slave may be tried per cycle, in turn. Once others exchange data, what a try without an answer costs is
@@ -442,10 +463,7 @@ static bool try_request(dpm_master *m, int64_t now, dpm_request *request)
     if (!found)
         return false;
     m->tried = true;
-    m->asked++;
-    m->errand = DPM_ERRAND_SLAVE;
-    dpm_slave_request(m, found, now, request);
-    return true;
+    return ask_slave(m, found, now, request);
 }
 
 static bool anyone_leaving(const dpm_master *m)
@@ -473,41 +491,50 @@ bool dpm_master_may_tell(const dpm_master *master)
     return dpm_station_state(&master->station) >= DPM_FDL_LISTEN_TOKEN && master->mode >= DPM_MODE_CLEAR;
 }
 
-int64_t dpm_master_patience(const dpm_master *master, int64_t now)
-{
-    return now + min_of(2 * dpm_station_patience(&master->station), PATIENCE);
-}
-
-/* Until when those that are left wait to be told so, while we have no token. */
+/* Until when those that are left wait for a token to be told so with: a silent bus is claimed sooner. */
 static int64_t leave_by(const dpm_master *m)
 {
-    return dpm_station_state(&m->station) == DPM_FDL_LISTEN_TOKEN ? m->leave_by : DPM_NEVER;
+    if (m->left_at == DPM_NEVER || dpm_station_state(&m->station) != DPM_FDL_LISTEN_TOKEN)
+        return DPM_NEVER;
+    const int64_t since = m->left_at > m->station.entered ? m->left_at : m->station.entered;
+    return since + min_of(2 * dpm_station_patience(&m->station), PATIENCE);
 }
 
 static void forget_leaving(dpm_master *m, int64_t now)
 {
     for (unsigned i = 0; i < m->n_slaves; i++)
         dpm_slave_forget(m, &m->slaves[i], now);
-    m->leave_by = DPM_NEVER;
+    m->left_at = DPM_NEVER;
     finish_leaving(m, now);
+}
+
+static void forget_silent(dpm_master *m, int64_t now)
+{
+    for (unsigned i = 0; i < m->n_slaves; i++)
+        if (m->slaves[i].silent)
+            dpm_slave_forget(m, &m->slaves[i], now);
 }
 
 static int master_next(void *context, int64_t now, dpm_request *request, int64_t *wake)
 {
     dpm_master *m = context;
+    if (m->leaving && now - m->left_at > PATIENCE)
+        forget_silent(m, now);
     finish_leaving(m, now);
     *wake = min_of(*wake, watchdog_at(m, now));
     if (m->mode < DPM_MODE_CLEAR)
         return 0;
     if (!m->in_cycle && !begin_cycle(m, now, wake))
         return 0;
-    if (m->turn == 0 && control_request(m, now, request))
+    if ((m->turn == 0 || m->leaving) && control_request(m, now, request))
         return 1;
+    if (m->leaving)
+        return unlock_request(m, now, request, wake);
     if (slave_request(m, now, request, wake))
         return 1;
     if (m->turn < m->n_slaves)
         return 0;
-    if (!m->leaving && try_request(m, now, request))
+    if (try_request(m, now, request))
         return 1;
     end_cycle(m, now, wake);
     return 0;
@@ -557,7 +584,6 @@ static void master_token(void *context, int64_t now, bool held)
         return;
     lose_all(m, now);
     m->control_due |= m->leaving; /* nobody knows who has heard it */
-    m->leave_by = dpm_master_patience(m, now);
     finish_leaving(m, now);
     if (dpm_station_state(&m->station) == DPM_FDL_OFFLINE) { /* another station has our address, or the port is deaf and dumb */
         forget_leaving(m, now);
@@ -686,7 +712,6 @@ static void leave(dpm_master *m, uint8_t target, int64_t now)
     for (unsigned i = 0; i < m->n_slaves; i++)
         dpm_slave_leave(m, &m->slaves[i], now);
     m->control_due = true;
-    m->turn = 0;
     m->cycle_at = now;
     finish_leaving(m, now);
 }
@@ -774,7 +799,7 @@ int dpm_master_init(void *block, size_t size, const dpm_master_config *config, d
     m->config = *config;
     m->port_works = true;
     m->auto_cleared = -1;
-    m->leave_by = DPM_NEVER;
+    m->left_at = DPM_NEVER;
     m->station_ask = station->machine.ask;
     station->machine.ask = master_ask;
     const dpm_fdl_user dp = {.context = m, .next = master_next, .confirm = master_confirm, .token = master_token};

@@ -23,6 +23,7 @@ typedef struct dpm_slave {
     uint8_t reason;         /* enum dpm_reason */
     int32_t detail;
     bool locked;            /* Set_Prm went out, and nothing since then says that it is not ours */
+    bool silent;            /* it did not answer when it was last asked */
     bool diagnosis_pending; /* DH came, or static diagnosis stands */
     bool cleared;           /* by order: zeros, or nothing, though the master operates */
     bool owes;              /* an order waits for its next Data_Exchange ... */
@@ -58,7 +59,7 @@ struct dpm_master {
     dpm_master_config config;
     uint8_t mode, target; /* enum dpm_mode; target while leaving */
     bool leaving;
-    int64_t leave_by;     /* without the token until then, those that are left cannot be told */
+    int64_t left_at;      /* the last that is left was told to go; NEVER: nobody waits for it */
     bool latched;
     uint8_t latched_by;   /* what had fed the output watchdog when it ran out */
     bool port_works;
@@ -124,8 +125,6 @@ void dpm_slave_space(dpm_slave *slave, int64_t now);
 bool dpm_master_arm(dpm_master *master, int64_t time);
 /* The token is here, or may come. */
 bool dpm_master_may_tell(const dpm_master *master);
-/* Until when, from now on, who has no token waits for it to tell the slaves that are left: a silent bus is claimed sooner. */
-int64_t dpm_master_patience(const dpm_master *master, int64_t now);
 bool dpm_master_exchanges(const dpm_master *master);
 /* The answer to what is under way for this slave changes its state no more; outputs are not sent again. */
 void dpm_master_drop(dpm_master *master, const dpm_slave *slave, int64_t now);

@@ -129,7 +129,7 @@ void dpm_slave_lose(dpm_master *master, dpm_slave *slave, int64_t now, uint8_t r
 void dpm_slave_leave(dpm_master *master, dpm_slave *slave, int64_t now)
 {
     enter(master, slave, now, slave->locked && dpm_master_may_tell(master) ? DPM_ST_LEAVING : away(slave));
-    master->leave_by = dpm_master_patience(master, now);
+    master->left_at = now;
     slave->tries = 0;
     slave->not_before = slave->spaced_at < now + LEAVE_WAIT ? slave->spaced_at : now + LEAVE_WAIT;
 }
@@ -486,6 +486,7 @@ static void confirm_data(dpm_master *m, dpm_slave *slave, int64_t now, const dpm
 static void confirm_answer(dpm_master *m, dpm_slave *slave, int64_t now, const dpm_confirm *c)
 {
     slave->tries = 0;
+    slave->silent = false;
     if (slave->asked == DPM_ASK_UNLOCK) {
         slave->locked = false;
         enter(m, slave, now, away(slave));
@@ -531,6 +532,7 @@ void dpm_slave_confirm(dpm_master *master, dpm_slave *slave, int64_t now, const 
     slave->tries++;
     if (may_be_missed(master, slave, confirm->tries))
         return;
+    slave->silent = true;
     if (slave->state == DPM_ST_LEAVING) {
         slave->locked = false; /* for all that we know: it is not asked again */
         enter(master, slave, now, away(slave));
