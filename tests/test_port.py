@@ -14,6 +14,7 @@ import termios
 import tty
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -70,8 +71,8 @@ class Recorder:
 class Port:
     """A dpm_port on a pty of its own, or on `path`."""
 
-    def __init__(self, path: str | None = None, *, rate: int = 500_000, profile: int = 0, echo: int = 0, pace: int = 0,
-                 allowance: int = -1, direction: int = 0) -> None:
+    def __init__(self, path: str | None = None, *, rate: int | Fraction = 500_000, profile: int = 0, echo: int = 0,
+                 pace: int = 0, allowance: int = -1, direction: int = 0) -> None:
         self.far = -1
         if path is None:
             self.far, near = pty.openpty()
@@ -79,8 +80,9 @@ class Port:
         self.path = path
         self.recorder = Recorder()
         self._path = ffi.new("char[]", path.encode())
-        config = ffi.new("dpm_port_config *", {"path": self._path, "rate_num": rate, "rate_den": 1, "profile": profile,
-                                               "echo": echo, "pace": pace, "allowance": allowance, "direction": direction})
+        config = ffi.new("dpm_port_config *", {"path": self._path, "rate_num": rate.numerator, "rate_den": rate.denominator,
+                                               "profile": profile, "echo": echo, "pace": pace, "allowance": allowance,
+                                               "direction": direction})
         size = lib.dpm_port_size()
         self._block = block(size)
         out = ffi.new("dpm_port **")
@@ -158,8 +160,9 @@ def test_a_port_of_somebody_else_is_refused(opened: Opener, tmp_path: Path) -> N
     assert opened(str(path)).code == lib.DPM_E_PERMISSION
 
 
-@pytest.mark.parametrize("wrong", [{"rate": 0}, {"profile": 4}, {"profile": -1}, {"echo": 3}, {"pace": 3}, {"direction": 3}])
-def test_a_setting_out_of_range_is_refused(opened: Opener, wrong: dict[str, int]) -> None:
+@pytest.mark.parametrize("wrong", [{"rate": 0}, {"rate": Fraction(1, 2)}, {"profile": 4}, {"profile": -1}, {"echo": 3},
+                                   {"pace": 3}, {"direction": 3}])
+def test_a_setting_out_of_range_is_refused(opened: Opener, wrong: dict[str, Any]) -> None:
     assert opened(**wrong).code == lib.DPM_E_ARGUMENT
 
 

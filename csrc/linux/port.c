@@ -450,7 +450,8 @@ int dpm_port_open(void *block, size_t size, const dpm_port_config *config, dpm_p
 {
     if (!block || size < sizeof(dpm_port) || (uintptr_t)block % 16)
         return DPM_E_BLOCK;
-    if (!config->path || !config->rate_num || !config->rate_den || config->profile < DPM_PROFILE_AUTO ||
+    /* Of a rate below 1 bit/s nothing would be left, and to set nothing is to hang up (B0). */
+    if (!config->path || !config->rate_den || config->rate_num < config->rate_den || config->profile < DPM_PROFILE_AUTO ||
         config->profile > DPM_PROFILE_PTY || config->echo < DPM_ECHO_AUTO || config->echo > DPM_ECHO_ON ||
         config->pace < DPM_PACE_AUTO || config->pace > DPM_PACE_BAUD ||
         config->direction < DPM_DIRECTION_AUTO || config->direction > DPM_DIRECTION_RS485_INVERTED)
