@@ -76,7 +76,7 @@ class Cycles(Iterator[Cycle]):
             status = self._bus.wait(self._ready, self._timeout)
             if status is None:
                 self._bus.check_port()
-                raise DPTimeout(f"no bus cycle ended in {self._timeout} s")
+                raise DPTimeout(f"no bus cycle ended in {self._timeout or 0:g} s")
         except ClosedError:
             if self._bus.closed:
                 raise StopIteration from None

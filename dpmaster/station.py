@@ -495,7 +495,7 @@ class Station:
         text = f"{self.name} is not back in Data_Exchange: it {self.reason}"
         if settled_in_time or self._refuses():
             raise StationError(text, address=self.address, reason=self.reason)
-        raise DPTimeout(f"{text}, after {timeout} s")
+        raise DPTimeout(f"{text}, after {timeout or 0:g} s")
 
     # ---- state
 

@@ -217,7 +217,7 @@ def test_a_loop_without_cycles_says_why(wire: Segment, monkeypatch: pytest.Monke
         take(cycles, 2)
         with monkeypatch.context() as patch:
             patch.setattr(master._bus, "wait", lambda ready, timeout: None)
-            with pytest.raises(DPTimeout, match=r"no bus cycle ended in 0\.6"):
+            with pytest.raises(DPTimeout, match=r"no bus cycle ended in 0\.6 s"):
                 next(cycles)
         wire.close()
         with pytest.raises(PortError):
