@@ -28,6 +28,15 @@ def stopped(rate: int = 500_000, address: int = 2, **options) -> tuple[Master, S
     return master, script
 
 
+def known(**options) -> tuple[Master, Script]:
+    """`stopped`, and station 8 has answered it: what it is asked from now on is repeated."""
+    master, script = stopped(**options)
+    master.request(8, lib.DPM_SRD_HIGH, b"", 60, 62)
+    script.next()
+    script.answer(DIAG)
+    return master, script
+
+
 # --- token and idle times -----------------------------------------------------------------------------------------
 
 
@@ -233,10 +242,7 @@ def test_fcb_first_contact_then_toggles_on_every_answer():
 
 def test_a_retry_is_the_first_try_octet_for_octet_a_slot_later():
     """S7: one identical repetition a slot time later (traces); same FCB (protocol page C.2 rule 3)."""
-    master, script = stopped()
-    master.request(8, lib.DPM_SRD_HIGH, b"", 60, 62)
-    script.next()
-    script.answer(DIAG)
+    master, script = known()
     request = master.request(8, lib.DPM_SRD_HIGH, b"\x11\x22")
     first = script.next()
     end = script.last.end
@@ -251,10 +257,7 @@ def test_after_all_tries_the_fcb_starts_anew():
     """max_retry_limit repetitions, then "not operational": next is FCB = 1, FCV = 0 (protocol page C.2 rule 4)."""
     parameters = default_parameters(500_000)
     parameters.max_retry_limit = 3
-    master, script = stopped(parameters=parameters)
-    master.request(8, lib.DPM_SRD_HIGH, b"", 60, 62)
-    script.next()
-    script.answer(DIAG)
+    master, script = known(parameters=parameters)
     request = master.request(8, lib.DPM_SRD_HIGH, b"\1")
     assert [script.next()[6] for _ in range(4)] == [0x5D] * 4
     script.next(tokens=True)
@@ -276,10 +279,7 @@ def test_first_contact_fdl_status_and_sdn_are_never_repeated():
 
 
 def test_fdl_status_does_not_disturb_the_fcb():
-    master, script = stopped()
-    master.request(8, lib.DPM_SRD_HIGH, b"", 60, 62)
-    script.next()
-    script.answer(DIAG)
+    master, script = known()
     request = master.request(8, lib.DPM_FDL_STATUS)
     assert script.next() == octets("10 08 02 49 53 16")  # B.4 #36
     script.answer("10 02 08 00 0A 16")
@@ -368,10 +368,7 @@ def test_mirrored_saps_are_demanded():
 
 def test_a_late_answer_is_dropped_and_not_taken_for_the_next_one():
     """peers.md: "Requests overlap after one late answer, for ever"; "a late answer is taken for the retry's"."""
-    master, script = stopped()
-    master.request(8, lib.DPM_SRD_HIGH, b"", 60, 62)
-    script.next()
-    script.answer(DIAG)
+    master, script = known()
     request = master.request(8, lib.DPM_SRD_HIGH, b"\1")
     script.next()
     script.silence(script.bits(201))  # the slot is over, the repetition is due
@@ -400,10 +397,7 @@ def test_a_late_answer_to_what_was_given_up_does_not_spoil_the_next_request():
 def test_a_late_sc_acknowledges_nobody_else(given_up, distrusted):
     """SC has no address. Behind a request that SC would have answered and that was given up, it is believed when the next
     station says it to the repetition, too; a responder sends its stored answer again (protocol page C.2 rule 3)."""
-    master, script = stopped()
-    master.request(8, lib.DPM_SRD_HIGH, b"", 60, 62)  # 8 is known: its requests are repeatable
-    script.next()
-    script.answer(DIAG)
+    master, script = known()
     sap = (60, 62) if given_up == "Slave_Diag" else (-1, -1)
     late = master.request(9, lib.DPM_SRD_HIGH, b"" if given_up == "Slave_Diag" else b"\1", *sap)
     script.next()
@@ -425,10 +419,7 @@ def test_a_late_sc_acknowledges_nobody_else(given_up, distrusted):
 
 def test_behind_a_repetition_its_slot_runs_out_first():
     """peers.md: "Requests overlap after one late answer": here to the first try; the repetition's is still to come."""
-    master, script = stopped()
-    master.request(8, lib.DPM_SRD_HIGH, b"", 60, 62)
-    script.next()
-    script.answer(DIAG)
+    master, script = known()
     first = master.request(8, lib.DPM_SRD_HIGH, b"\1")
     script.next()
     script.next()
@@ -441,10 +432,7 @@ def test_behind_a_repetition_its_slot_runs_out_first():
 
 def test_a_doubled_answer_does_not_meet_the_next_exchange():
     """Two tries may bring two answers: the second one finds nobody waiting."""
-    master, script = stopped()
-    master.request(8, lib.DPM_SRD_HIGH, b"", 60, 62)
-    script.next()
-    script.answer(DIAG)
+    master, script = known()
     first = master.request(8, lib.DPM_SRD_HIGH, b"\1")
     script.next()
     script.next()  # the repetition
@@ -471,10 +459,7 @@ def test_a_stray_octet_before_an_answer_costs_nothing(noise):
 
 def test_noise_that_looks_like_a_token_costs_one_try_but_not_the_bus():
     """SD4 has no check sequence: a stray DC and the head of the answer make `DC 68 0B`, a token from 11 to 104."""
-    master, script = stopped()
-    master.request(8, lib.DPM_SRD_HIGH, b"", 60, 62)
-    script.next()
-    script.answer(DIAG)
+    master, script = known()
     request = master.request(8, lib.DPM_SRD_HIGH, b"", 60, 62)
     script.next()
     script.answer(octets("DC 44 22") + DIAG)
