@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def ms(seconds: float) -> str:
-    return f"{seconds * 1000:.3g} ms"
+    return f"{round(seconds * 1000, 3):g} ms"
 
 
 def text(found: Calibration) -> str:
