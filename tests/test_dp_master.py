@@ -789,6 +789,16 @@ def come_back_late(bus: Bus) -> None:
     assert (bus.master.status.fdl_state, bus.state) == (lib.DPM_FDL_LISTEN_TOKEN, lib.DPM_ST_DATA)
 
 
+def test_a_host_that_was_away_while_it_waited_for_the_token_claims_it_first():
+    """Nobody has the bus; that the time to wait is over does not say that somebody has."""
+    bus = Bus()
+    bus.start()
+    bus.script.answer("DC 05 03", tsdr=40)
+    bus.master.mode(lib.DPM_MODE_STOP, bus.script.now)
+    bus.script.now += 1 * S
+    unlocked(bus)
+
+
 @pytest.mark.parametrize("foreign", [False, True])
 def test_leaving_behind_a_late_host_waits_for_the_token_as_well(foreign):
     bus = Bus()

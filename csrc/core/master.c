@@ -765,14 +765,21 @@ void dpm_master_port(dpm_master *master, bool working, int64_t now)
 
 /* --- the machine -------------------------------------------------------------------------------------------------- */
 
+/* Only a silence that was heard is a token that nobody has: a host that was away claims it first. */
+static void master_quiet(dpm_machine *machine, int64_t until)
+{
+    dpm_master *m = (dpm_master *)machine;
+    m->station_quiet(machine, until);
+    if (until >= leave_by(m))
+        forget_leaving(m, until);
+}
+
 static void master_ask(dpm_machine *machine, int64_t now, dpm_offer *offer)
 {
     dpm_master *m = (dpm_master *)machine;
     m->asked_at = now;
     judge_watchdog(m, now);
     judge_transfer(m, now);
-    if (now >= leave_by(m))
-        forget_leaving(m, now);
     m->station_ask(machine, now, offer);
     offer->wake = min_of(offer->wake, min_of(leave_by(m), min_of(watchdog_at(m, now), auto_clear_at(m))));
     refuse_raw(m);
@@ -801,7 +808,9 @@ int dpm_master_init(void *block, size_t size, const dpm_master_config *config, d
     m->auto_cleared = -1;
     m->left_at = DPM_NEVER;
     m->station_ask = station->machine.ask;
+    m->station_quiet = station->machine.quiet;
     station->machine.ask = master_ask;
+    station->machine.quiet = master_quiet;
     const dpm_fdl_user dp = {.context = m, .next = master_next, .confirm = master_confirm, .token = master_token};
     const dpm_fdl_user raw = {.context = m, .next = raw_next, .confirm = raw_confirm};
     dpm_station_add_user(station, &dp);

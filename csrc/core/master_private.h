@@ -56,6 +56,7 @@ enum dpm_errand { DPM_ERRAND_SLAVE, DPM_ERRAND_MODE, DPM_ERRAND_ORDER, DPM_ERRAN
 struct dpm_master {
     dpm_station station; /* first: the master's machine is the station's */
     void (*station_ask)(dpm_machine *, int64_t, dpm_offer *);
+    void (*station_quiet)(dpm_machine *, int64_t);
     dpm_master_config config;
     uint8_t mode, target; /* enum dpm_mode; target while leaving */
     bool leaving;
