@@ -456,7 +456,7 @@ class Master(Services):
         if self.mode != Mode.OPERATE:  # again while it operates would take the watchdog's last feed for a new start
             self._bus.set_mode(Mode.OPERATE)
             self._bus.fed_thread = _errand.caller()
-        self._await_mode(Mode.OPERATE, LEAVE_TIME + (self.cycle_time or 0))
+        self._await_mode(Mode.OPERATE, LEAVE_TIME)
         for station in self.stations:
             if station.state == StationState.DATA:
                 station._operating()
