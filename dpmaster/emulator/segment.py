@@ -65,8 +65,8 @@ class Segment(Host):
     can be (0..64, 0..126). `realtime` schedules the hub's thread as `Master`'s, if it is asked for; what came of it is in
     `scheduling`.
 
-    A port exists on the wire while somebody has it open: who opens it hears what is said from then on. The wire lasts as long as
-    the program has it, a `port()` of it (a copy of that path keeps nothing) or a card on it, unless it is closed before.
+    A port exists on the wire while somebody has it open: who opens it hears what is said from then on. The wire lasts as
+    long as the program has it, a `port()` of it (a copy of that path keeps nothing) or a card on it, unless it is closed first.
     """
 
     _room = "dpm_segment"
