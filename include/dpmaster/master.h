@@ -199,8 +199,8 @@ DPM_API int dpm_master_activate(dpm_master *master, int index, bool active, int6
 DPM_API int dpm_master_remove(dpm_master *master, int index);
 /* Change the mode, by steps between neighbours. Leaving Operate makes all outputs safe; STOP and OFFLINE unlock the slaves
  * first (leaving), for which the machine takes its time, half a second of it at most for a token that was lost and for slaves
- * that do not answer: watch status.mode. Going to OPERATE ends a latch. DPM_E_ARGUMENT; DPM_E_MODE
- * with auto_clear while an active slave is not in data transfer. */
+ * that do not answer: watch status.mode. Going to OPERATE ends a latch. DPM_E_ARGUMENT; DPM_E_MODE with auto_clear while an
+ * active slave is not in data transfer. */
 DPM_API int dpm_master_set_mode(dpm_master *master, int mode, int64_t now);
 /* Queue a request: each has its turn behind those that were there before, one for each cycle or turn of the token. It is done
  * at once, with DPM_CONF_DS, when the station leaves the bus or the port is gone. Slave_Diag of a slave in Data_Exchange serves
