@@ -570,6 +570,21 @@ def test_min_slave_interval_holds_for_requests_by_hand(interval):
     assert bus.state == lib.DPM_ST_DATA
 
 
+@pytest.mark.parametrize("raw", [False, True], ids=["Data_Exchange", "by hand"])
+def test_min_slave_interval_counts_from_a_repetition(raw):
+    """It may be the first that the slave has heard."""
+    bus = Bus(slave={"min_slave_interval": 30})
+    bus.start()
+    if raw:
+        bus.master.request(8, 0x0D, dsap=59, ssap=62)
+    first, repeated = bus.next(), bus.next()
+    assert first == repeated
+    last = bus.script.last.start
+    bus.script.answer(octets("68 06 06 68 82 88 08 3E 3B 21 AC 16") if first[4] == 0x88 else SC)
+    assert bus.next()[4] in (0x08, 0x88)
+    assert bus.script.last.start - last >= 3 * MS
+
+
 class Slow:
     """Our master and three of our slaves with a Min_Slave_Intervall of 25, 0 and 3 ms."""
 

@@ -293,6 +293,17 @@ def test_only_what_is_certain_is_held_against_a_master() -> None:
     assert rig.report().too_soon == 1, "the last one"
 
 
+def test_nothing_is_too_soon_behind_power_on() -> None:
+    """Not even a request that had begun before."""
+    rig = Rig((SlaveConfig(more={"min_slave_interval": 20}),))
+    master = Initiator(rig)
+    request = telegram(8, 2, master.fc(), b"", SLAVE_DIAG)
+    begin = rig.time + 100 * MS
+    assert lib.dpm_slaves_reset(rig.slaves, 0, begin + TBIT) == 0
+    rig.hear(request, begin)
+    assert rig.report().too_soon == 0
+
+
 def test_our_master_keeps_the_distance() -> None:
     """In start-up, exchange, diagnosis and retries."""
     parameters = default_parameters(500_000)

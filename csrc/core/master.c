@@ -540,11 +540,20 @@ static int master_next(void *context, int64_t now, dpm_request *request, int64_t
     return 0;
 }
 
+/* A repetition may be the first that the slave has heard: Min_Slave_Interval counts from the last one. */
+static void space_repeated(dpm_master *m, const dpm_confirm *confirm)
+{
+    dpm_slave *slave = confirm->tries > 1 ? slave_at(m, m->station.da) : NULL;
+    if (slave)
+        dpm_slave_space(slave, confirm->start);
+}
+
 static void master_confirm(void *context, int64_t now, const dpm_confirm *confirm)
 {
     dpm_master *m = context;
     dpm_slave *slave = m->current;
     m->current = NULL;
+    space_repeated(m, confirm);
     if (m->errand != DPM_ERRAND_SLAVE)
         control_confirm(m, confirm);
     if (!slave)
@@ -656,6 +665,7 @@ static void raw_confirm(void *context, int64_t now, const dpm_confirm *confirm)
     dpm_master *m = context;
     const bool cancelled = m->raw_cancelled;
     m->raw_out = m->raw_cancelled = false;
+    space_repeated(m, confirm);
     if (cancelled)
         return;
     share_diagnosis(m, now, confirm);

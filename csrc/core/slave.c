@@ -137,7 +137,7 @@ static void power_on(dpm_slaves *slaves, dpm_responder *slave, int64_t now)
     if (slaves->answering == slave)
         slaves->answering = NULL;
     dpm_responder_power_on(slave, now);
-    slave->request_start = now - slave->config.min_slave_interval * (int64_t)SLAVE_INTERVAL_UNIT;
+    slave->request_start = -DPM_NEVER / 2; /* there was none */
     slave->baud_deadline = DPM_NEVER;
     if (slave->config.auto_baud)
         search_rate(slaves, slave, now);
