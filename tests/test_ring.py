@@ -593,12 +593,17 @@ def late_bus() -> Bus:
     return bus
 
 
-def test_a_token_that_may_be_older_than_a_slot_is_not_used():
-    """The predecessor says it again a slot later, and two would talk at once."""
+@pytest.mark.parametrize("asked", [False, True], ids=["", "asked before it has read"])
+def test_a_token_that_may_be_older_than_a_slot_is_not_used(asked):
+    """The predecessor says it again a slot later, and two would talk at once. Nor does a rotation end with it."""
     bus = late_bus()
     heard = bus.script.answer(token(2, 9), tsdr=37)
+    rotations = bus.master.view.rotations
     bus.script.now += bus.script.bits(1115)  # the host slept meanwhile: when the token came, it cannot tell
+    if asked:
+        assert not Offer(bus.master.machine, bus.script.now).octets
     bus.script.answer(token(5, 2), tsdr=0)
+    assert bus.master.view.rotations == rotations
     assert bus.script.next(limit=MS, tokens=True) == b""
     assert bus.master.status.fdl.tokens_lost == 1 and bus.script.now > heard
     bus.script.answer(token(5, 2), tsdr=10)
@@ -647,6 +652,27 @@ def test_a_late_host_looks_so_often_that_it_can_tell():
     bus.script.answer(token(5, 2), tsdr=0)
     assert bus.script.next(limit=MS, tokens=True) != b""
     assert bus.master.status.fdl.tokens_lost == 0
+
+
+@pytest.mark.parametrize("asked", [False, True], ids=["", "asked before it has read"])
+@pytest.mark.parametrize("role", [lib.DPM_ROLE_SOLE, RING])
+def test_a_request_that_may_be_old_is_not_answered(role, asked):
+    """Who has asked has gone on: the answer would meet another telegram."""
+    parameters = default_parameters(500_000)
+    parameters.tsl = lib.dpm_ring_tsl(parameters, 2 * MS)
+    master = Master(parameters=parameters, address=5, role=role, allowance=2 * MS)
+    master.mode(lib.DPM_MODE_STOP)
+    script = Script(master)
+    for away, answered in ((0, True), (2 * MS, True), (30 * MS, False), (0, True)):
+        script.answer(token(2, 9), tsdr=37)
+        heard = Offer(master.machine, script.now)
+        assert heard.wake <= script.now + script.bits(1115) // 4, "it looks whether somebody asks"
+        script.now += away
+        if asked:
+            assert not Offer(master.machine, script.now).octets
+        script.answer(status(5, 2), tsdr=0)
+        assert (script.next(limit=MS) != b"") is answered, away
+    assert master.status.fdl.late_dropped == 1
 
 
 @pytest.mark.parametrize("role", [lib.DPM_ROLE_SOLE, lib.DPM_ROLE_RING, lib.DPM_ROLE_PASSIVE])

@@ -182,6 +182,12 @@ void dpm_station_drop_token(dpm_station *st, uint8_t state, int64_t now, bool lo
 
 /* --- telegrams received ------------------------------------------------------------------------------------------ */
 
+/* A host that wakes late cannot tell when a telegram came, only that it was not there at the last look. */
+int64_t dpm_station_came(const dpm_station *st, const dpm_received *rx)
+{
+    return st->config.traits.allowance ? min_of(rx->end_earliest, st->looked) : rx->end_earliest;
+}
+
 /* A sole master gives way: it is silent until the bus has been so for Tto. */
 static void give_way(dpm_station *st, uint8_t address, int64_t now)
 {
@@ -244,7 +250,7 @@ static void reply(dpm_station *st, const dpm_received *rx)
     st->tx_n = (uint16_t)n;
     st->tx_kind = DPM_TX_REPLY;
     st->tx_not_before = rx->end_latest + st->min_tsdr;
-    st->tx_not_after = rx->end_earliest + st->max_tsdr + st->config.traits.allowance;
+    st->tx_not_after = dpm_station_came(st, rx) + st->max_tsdr + st->config.traits.allowance;
 }
 
 /* An answer mirrors the request's SAPs; one without data (RS, UE, RR, NR) may leave them out. */
@@ -397,6 +403,7 @@ static void station_quiet(dpm_machine *machine, int64_t until)
     dpm_received rx;
     while (dpm_receiver_quiet(&st->receiver, until, &rx))
         receive(st, &rx);
+    st->looked = until;
     if (st->echo_kind != DPM_TX_NONE && until >= echo_due(st))
         echo_is_over(st, false, until);
     if (st->tx_kind != DPM_TX_NONE)
@@ -605,12 +612,13 @@ static int64_t use_token(dpm_station *st, int64_t now)
     return now;
 }
 
-/* A late host looks often enough to know, when a token comes, how old that may be; behind its own pass, too, for in a ring of
- * two the token may be the first that comes back. */
+/* A late host looks often enough to know, when a token or a request comes, how old that may be; behind its own pass, too, for in
+ * a ring of two the token may be the first that comes back. */
 static int64_t look_at(const dpm_station *st)
 {
-    const bool may_come = st->state == DPM_FDL_ACTIVE_IDLE || st->state == DPM_FDL_CHECK_TOKEN_PASS;
-    return st->config.traits.allowance && may_come ? st->looked + st->tsl / LOOKS : DPM_NEVER;
+    const bool may_come = st->state == DPM_FDL_LISTEN_TOKEN || st->state == DPM_FDL_ACTIVE_IDLE ||
+                          st->state == DPM_FDL_CHECK_TOKEN_PASS;
+    return st->config.traits.allowance && may_come ? st->asked + st->late_slot / LOOKS : DPM_NEVER;
 }
 
 /* When silence will let the machine conclude something. */
@@ -669,7 +677,7 @@ static void station_ask(dpm_machine *machine, int64_t now, dpm_offer *offer)
         return;
     if (st->last_activity < 0)
         st->last_activity = now;
-    st->looked = now;
+    st->asked = now;
     drop_stale_token(st, now);
     drop_late_reply(st, now);
     if (st->echo_kind != DPM_TX_NONE) {

@@ -40,7 +40,8 @@ struct dpm_station {
     int64_t speak_until;   /* the first telegram of a turn: behind this the predecessor takes us for gone */
     bool spoke;            /* the turn's first telegram is out */
     int64_t users_wake;    /* no user has work before this; 0: not known, ask them */
-    int64_t looked;        /* when the host was last known to be awake: what it reads now, came later */
+    int64_t asked;         /* the last time the machine was asked what now */
+    int64_t looked;        /* the host's last read: what it reads now, came later */
     int64_t last_activity; /* latest end of anything on the bus, ours too; -1: nothing known yet */
     int64_t not_before;    /* Tid1 or Tid2 after it: the earliest next transmission of ours */
 
@@ -138,6 +139,8 @@ bool dpm_station_talks(const dpm_station *station);
 /* Silence, ns, behind which a station without the token claims it. */
 int64_t dpm_station_patience(const dpm_station *station);
 void dpm_station_enter(dpm_station *station, uint8_t state, int64_t now);
+/* The earliest moment at which a telegram can have ended. */
+int64_t dpm_station_came(const dpm_station *station, const dpm_received *received);
 /* A turn of the token begins: users may send. */
 void dpm_station_begin_turn(dpm_station *station, int64_t now);
 /* The token is not ours any more: the exchange under way ends without an answer. `lost`: the bus is, too. */

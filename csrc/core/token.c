@@ -162,10 +162,9 @@ static void accept(dpm_station *st, const dpm_received *rx)
     const dpm_parameters *p = &st->config.parameters;
     const int64_t now = rx->end_latest;
     const int64_t heard = dpm_bits_up(p, DPM_CHARACTER_BITS) + st->config.traits.delivery;
-    st->hold_until = now + max_of(dpm_bits_down(p, p->ttr) - count_rotation(st, now), 0);
-    /* A host that wakes late cannot tell when it came, only that it was not there at the last look. */
-    const bool late = st->config.traits.allowance > 0;
-    st->speak_until = (late ? min_of(rx->end_earliest, st->looked) : rx->end_earliest) + st->tsl - heard;
+    st->speak_until = dpm_station_came(st, rx) + st->tsl - heard;
+    const bool too_late = now > st->speak_until; /* no rotation ends with one that nobody knows the age of */
+    st->hold_until = too_late ? now : now + max_of(dpm_bits_down(p, p->ttr) - count_rotation(st, now), 0);
     st->spoke = false;
     st->stranger = -1;
     st->passes = 0;
