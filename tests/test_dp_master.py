@@ -820,6 +820,31 @@ def test_a_foreign_master_that_a_late_host_hears_has_taken_the_bus():
     assert bus.master.status.mode == lib.DPM_MODE_OPERATE
 
 
+@pytest.mark.parametrize("away", [50 * MS, 10 * S])
+@pytest.mark.parametrize("moment", ["token", "Clear", "Unlock", "listening", "other"])
+def test_what_the_host_itself_was_away_is_not_waited_for(away, moment):
+    """It would give up the token before it had looked whether that is there. Nor does a cycle time of an hour hold it up."""
+    bus = Bus(cycle_time=2 * S)
+    bus.start()
+    if moment == "other":
+        bus.script.answer("DC 05 03", tsdr=40)
+    if moment == "listening":
+        come_back_late(bus)
+    bus.master.mode(lib.DPM_MODE_STOP, bus.script.now)
+    if moment in ("Clear", "Unlock"):
+        assert bus.script.next() == CLEAR
+    if moment == "Unlock":
+        assert bus.script.next()[7:-2] == UNLOCK
+    bus.script.now += away
+    assert Offer(bus.master.machine, bus.script.now).octets in (b"", CLEAR), "asked before it has read"
+    left = bus.script.now
+    while (sent := bus.script.next(limit=100 * MS)) == CLEAR:
+        pass
+    assert sent[7:-2] == UNLOCK and bus.script.now < left + 100 * MS
+    bus.script.answer(SC)
+    assert bus.script.next(limit=1 * S) == b"" and bus.master.status.mode == lib.DPM_MODE_STOP
+
+
 @pytest.mark.parametrize("since", [1, 100])
 def test_leaving_does_not_wait_for_a_token_that_others_keep(since):
     bus = Bus()
@@ -959,6 +984,20 @@ def test_who_does_not_hear_the_unlock_is_not_asked_again():
     assert bus.state == lib.DPM_ST_INACTIVE
     bus.master.mode(lib.DPM_MODE_STOP, bus.script.now)
     assert bus.script.next(limit=1 * S) in (b"", CLEAR) and bus.master.status.mode == lib.DPM_MODE_STOP
+
+
+def test_an_unlock_that_is_a_first_contact_is_repeated_all_the_same():
+    """The station would not, and one telegram lost would leave the slave locked."""
+    bus = Bus(control_interval=200 * S)
+    bus.start()
+    bus.script.answer("DC 05 03", tsdr=40)
+    bus.master.mode(lib.DPM_MODE_STOP, bus.script.now)
+    assert bus.script.next() == CLEAR
+    for _ in range(2):
+        assert bus.script.next()[6:-2] == b"\x6d" + UNLOCK, "FCB = 1, FCV = 0"
+        bus.script.silence(bus.script.bits(201))
+    assert bus.script.next(limit=1 * S) == b""
+    assert bus.master.status.mode == lib.DPM_MODE_STOP and bus.state == lib.DPM_ST_OFFLINE
 
 
 @pytest.mark.parametrize("owner", [0x02, 0x05, 0xFF])

@@ -346,6 +346,32 @@ def test_who_left_the_bus_hears_nothing_more(behind):
     assert bus.script.next(limit=1 * S, tokens=True) == b""
 
 
+def test_leaving_waits_half_a_second_for_a_token_that_never_comes():
+    """Another one has it, and believes that we are gone."""
+    bus = Bus()
+    bus.master.add(30, 1, octets("21"))
+    bus.entered()
+    bus.master.mode(lib.DPM_MODE_CLEAR, bus.script.now)
+    parameterised = False
+    while (sent := bus.script.next(tokens=True)) != token(9, 5) or not parameterised:
+        if sent[7:8] == b"\x3c":
+            bus.script.answer(diagnosis(0x02, 0x05, 0x00, 0xFF, 0x00, 0x01, da=5, sa=30))
+        elif sent[7:8] in (b"\x3d", b"\x3e"):
+            bus.script.answer(b"\xe5")
+            parameterised = True
+        elif sent == token(9, 5):
+            bus.script.answer(token(2, 9), tsdr=37)
+            bus.script.answer(token(5, 2), tsdr=37)
+    bus.script.answer(token(9, 9), tsdr=37)
+    bus.master.mode(lib.DPM_MODE_OFFLINE, bus.script.now)
+    begin = bus.script.now
+    while bus.state == lib.DPM_FDL_ACTIVE_IDLE:
+        bus.script.answer(token(9, 9), tsdr=37)
+        assert bus.script.next(limit=bus.script.bits(1), tokens=True) == b""
+    assert 0.5 * S <= bus.script.now - begin < 0.51 * S
+    assert bus.master.status.mode == lib.DPM_MODE_OFFLINE and bus.state == lib.DPM_FDL_OFFLINE
+
+
 @pytest.mark.parametrize("others", [False, True], ids=["a silent bus", "others go on"])
 def test_who_loses_the_ring_on_its_way_out_waits_for_it_and_no_longer(others):
     """Who is ours is unlocked when the token comes back; when it does not, it is Offline and does not come back itself."""
@@ -364,8 +390,11 @@ def test_who_loses_the_ring_on_its_way_out_waits_for_it_and_no_longer(others):
         bus.script.answer(token(9, 5), tsdr=50)
     assert (bus.state, bus.master.slave(0).state) == (lib.DPM_FDL_LISTEN_TOKEN, lib.DPM_ST_LEAVING)
     if others:
-        for _ in range(1000):
+        begin = bus.script.now
+        while bus.state == lib.DPM_FDL_LISTEN_TOKEN:
             bus.script.answer(token(9, 9), tsdr=37)
+            bus.script.silence(1)
+        assert 0.4 * S < bus.script.now - begin < 0.6 * S
     else:
         assert bus.script.next()[6:9] == octets("46 3A 3E"), "Global_Control, Clear"
         assert bus.script.next()[7:10] == octets("3D 3E 40"), "Unlock"

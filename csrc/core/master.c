@@ -15,7 +15,8 @@
 #define HOUR 3600000000000 /* ns; the longest time a caller may set */
 /* A cycle in which no slave was asked is not repeated before this has passed, ns. */
 #define EMPTY_CYCLE 1000000
-/* Leaving is bounded: the longest wait for a token to unlock slaves with, and for slaves that were silent, ns. */
+/* Leaving is bounded: the longest wait for a token to unlock slaves with (two of the ring's rotations, where that is longer), and
+ * for slaves that were silent, ns. */
 #define PATIENCE 500000000
 /* The output watchdog's clock: ns of a tick, and ticks by which a feed may be ahead of the bus thread's last look. */
 enum { TICK = 1 << 18, AHEAD = 1 << 14 };
@@ -491,20 +492,24 @@ bool dpm_master_may_tell(const dpm_master *master)
     return dpm_station_state(&master->station) >= DPM_FDL_LISTEN_TOKEN && master->mode >= DPM_MODE_CLEAR;
 }
 
-/* Until when those that are left wait for a token to be told so with: a silent bus is claimed sooner. */
-static int64_t leave_by(const dpm_master *m)
+/* For how long those that are left wait for the token to be told so. A silent bus is claimed sooner; a ring lets us in again. */
+static int64_t patience(const dpm_master *m)
 {
-    if (m->left_at == DPM_NEVER || dpm_station_state(&m->station) != DPM_FDL_LISTEN_TOKEN)
-        return DPM_NEVER;
-    const int64_t since = m->left_at > m->station.entered ? m->left_at : m->station.entered;
-    return since + min_of(2 * dpm_station_patience(&m->station), PATIENCE);
+    if (m->config.station.role == DPM_ROLE_SOLE)
+        return min_of(2 * dpm_station_patience(&m->station), PATIENCE);
+    return max_of(2 * m->station.ring.trr, PATIENCE);
+}
+
+static bool waits_for_token(const dpm_master *m)
+{
+    return m->tokenless != DPM_NEVER && !dpm_station_talks(&m->station);
 }
 
 static void forget_leaving(dpm_master *m, int64_t now)
 {
     for (unsigned i = 0; i < m->n_slaves; i++)
         dpm_slave_forget(m, &m->slaves[i], now);
-    m->left_at = DPM_NEVER;
+    m->left_at = m->tokenless = DPM_NEVER;
     finish_leaving(m, now);
 }
 
@@ -513,6 +518,17 @@ static void forget_silent(dpm_master *m, int64_t now)
     for (unsigned i = 0; i < m->n_slaves; i++)
         if (m->slaves[i].silent)
             dpm_slave_forget(m, &m->slaves[i], now);
+}
+
+/* Nobody gives us the token. What a host that was away itself has waited does not count. */
+static void judge_leaving(dpm_master *m, int64_t until)
+{
+    if (!waits_for_token(m) || until < m->tokenless + patience(m))
+        return;
+    if (until > m->tokenless + 2 * patience(m))
+        m->tokenless = until;
+    else
+        forget_leaving(m, until);
 }
 
 static int master_next(void *context, int64_t now, dpm_request *request, int64_t *wake)
@@ -593,6 +609,8 @@ static void master_token(void *context, int64_t now, bool held)
         return;
     lose_all(m, now);
     m->control_due |= m->leaving; /* nobody knows who has heard it */
+    if (m->tokenless != DPM_NEVER)
+        m->tokenless = now;
     finish_leaving(m, now);
     if (dpm_station_state(&m->station) == DPM_FDL_OFFLINE) { /* another station has our address, or the port is deaf and dumb */
         forget_leaving(m, now);
@@ -780,8 +798,7 @@ static void master_quiet(dpm_machine *machine, int64_t until)
 {
     dpm_master *m = (dpm_master *)machine;
     m->station_quiet(machine, until);
-    if (until >= leave_by(m))
-        forget_leaving(m, until);
+    judge_leaving(m, until);
 }
 
 static void master_ask(dpm_machine *machine, int64_t now, dpm_offer *offer)
@@ -790,8 +807,12 @@ static void master_ask(dpm_machine *machine, int64_t now, dpm_offer *offer)
     m->asked_at = now;
     judge_watchdog(m, now);
     judge_transfer(m, now);
+    if (m->tokenless != DPM_NEVER && dpm_station_talks(&m->station))
+        m->tokenless = now;
     m->station_ask(machine, now, offer);
-    offer->wake = min_of(offer->wake, min_of(leave_by(m), min_of(watchdog_at(m, now), auto_clear_at(m))));
+    offer->wake = min_of(offer->wake, min_of(watchdog_at(m, now), auto_clear_at(m)));
+    if (waits_for_token(m))
+        offer->wake = min_of(offer->wake, m->tokenless + patience(m));
     refuse_raw(m);
 }
 
@@ -816,7 +837,7 @@ int dpm_master_init(void *block, size_t size, const dpm_master_config *config, d
     m->config = *config;
     m->port_works = true;
     m->auto_cleared = -1;
-    m->left_at = DPM_NEVER;
+    m->left_at = m->tokenless = DPM_NEVER;
     m->station_ask = station->machine.ask;
     m->station_quiet = station->machine.quiet;
     station->machine.ask = master_ask;

@@ -61,6 +61,7 @@ struct dpm_master {
     uint8_t mode, target; /* enum dpm_mode; target while leaving */
     bool leaving;
     int64_t left_at;      /* the last that is left was told to go; NEVER: nobody waits for it */
+    int64_t tokenless;    /* and since then there was no token to tell it with */
     bool latched;
     uint8_t latched_by;   /* what had fed the output watchdog when it ran out */
     bool port_works;

@@ -126,12 +126,17 @@ void dpm_slave_lose(dpm_master *master, dpm_slave *slave, int64_t now, uint8_t r
     slave->diagnosis[0] |= NON_EXISTENT;
 }
 
+static void unlock_soon(dpm_slave *slave, int64_t now)
+{
+    slave->not_before = slave->spaced_at < now + LEAVE_WAIT ? slave->spaced_at : now + LEAVE_WAIT;
+}
+
 void dpm_slave_leave(dpm_master *master, dpm_slave *slave, int64_t now)
 {
     enter(master, slave, now, slave->locked && dpm_master_may_tell(master) ? DPM_ST_LEAVING : away(slave));
-    master->left_at = now;
+    master->left_at = master->tokenless = now;
     slave->tries = 0;
-    slave->not_before = slave->spaced_at < now + LEAVE_WAIT ? slave->spaced_at : now + LEAVE_WAIT;
+    unlock_soon(slave, now);
 }
 
 void dpm_slave_forget(dpm_master *master, dpm_slave *slave, int64_t now)
@@ -532,8 +537,12 @@ void dpm_slave_confirm(dpm_master *master, dpm_slave *slave, int64_t now, const 
     slave->tries++;
     if (may_be_missed(master, slave, confirm->tries))
         return;
+    /* A first contact, which the station does not repeat; nothing else would free the slave. */
+    const bool again = !slave->silent && confirm->tries <= master->config.station.parameters.max_retry_limit;
     slave->silent = true;
-    if (slave->state == DPM_ST_LEAVING) {
+    if (slave->state == DPM_ST_LEAVING && again) {
+        unlock_soon(slave, now);
+    } else if (slave->state == DPM_ST_LEAVING) {
         slave->locked = false; /* for all that we know: it is not asked again */
         enter(master, slave, now, away(slave));
     } else if (slave->state != DPM_ST_OFFLINE) {

@@ -60,7 +60,6 @@ static bool wants_answer(uint8_t function)
 void dpm_station_enter(dpm_station *st, uint8_t state, int64_t now)
 {
     const uint8_t old = st->state;
-    st->entered = old == state ? st->entered : now;
     st->state = state;
     if (old != state && !(in_ring(old) && in_ring(state)))
         put_event(st, now, DPM_EV_FDL, state, old, 0);

@@ -30,7 +30,6 @@ struct dpm_station {
     int64_t late_slot;     /* the slot time that a ring of hosts like ours would need */
 
     uint8_t state;         /* enum dpm_fdl_state */
-    int64_t entered;       /* ns, when dpm_station_enter last changed it */
     uint8_t claims;        /* tokens still to send in Claim_Token */
     bool worked;           /* something was sent since the token came */
     uint8_t served;        /* users that had their message in this turn, a bit each */
