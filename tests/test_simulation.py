@@ -194,6 +194,35 @@ def test_times_of_a_late_host_hold_the_truth(seed):
     assert max(delays) <= lateness + chunk and max(delays) > (lateness + chunk) / 3, f"seed {seed}"
 
 
+@pytest.mark.parametrize("asks", [False, True])
+def test_a_host_that_stands_still_reads_at_once_what_came_meanwhile(asks):
+    """As octets of which the last has just come, as a driver has no times; and says nothing before that."""
+    talker, listener = Talker(), Talker()
+    simulation = Simulation(default_parameters(), talker, listener)
+    for at in (100, 400, 5000):
+        talker.say(at * BIT, ANSWER)
+    listener.say(1000 * BIT, SC)
+    simulation.run(50 * BIT, violation=False)
+    assert lib.dpm_simulation_stall(simulation.c, 1, 3000 * BIT, asks) == 0
+    simulation.run(10_000 * BIT, violation=False)
+    late, prompt = listener.heard
+    assert (late.octets, late.latest + (len(late.octets) - 1) * late.spacing) == (ANSWER + ANSWER, 3000 * BIT)
+    assert late.earliest == late.latest and not any(late.errors)
+    assert (prompt.octets, prompt.latest + (len(ANSWER) - 1) * prompt.spacing) == (ANSWER, (5000 + bits(ANSWER)) * BIT)
+    assert [t.start for t in simulation.tap() if t.port == 1] == [3000 * BIT]
+
+
+def test_a_host_that_stands_still_for_long_keeps_what_a_serial_port_keeps():
+    talker, listener = Talker(), Talker()
+    simulation = Simulation(default_parameters(), talker, listener, tap=2000)
+    for k in range(1000):
+        talker.say((100 + 100 * k) * BIT, ANSWER)
+    simulation.run(50 * BIT, violation=False)
+    assert lib.dpm_simulation_stall(simulation.c, 1, 1 * S, False) == 0
+    simulation.run(1 * S, violation=False)
+    assert listener.heard[0].octets == (ANSWER * 1000)[:4095]
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_late_host_is_late_by_its_seed(seed):
     def run(seed):
@@ -755,6 +784,7 @@ def test_bad_arguments_are_refused():
     assert lib.dpm_simulation_attach(c, Talker().machine, ffi.NULL) == lib.DPM_E_FULL
     assert lib.dpm_simulation_power(c, 1, True) == lib.dpm_simulation_place(c, 1, 0) == lib.DPM_E_ARGUMENT
     assert lib.dpm_simulation_place(c, 0, 8) == lib.DPM_E_ARGUMENT
+    assert lib.dpm_simulation_stall(c, 1, S, True) == lib.dpm_simulation_stall(c, 0, 0, True) == lib.DPM_E_ARGUMENT
     assert lib.dpm_simulation_inject(c, 0, -1, SC, 1) == lib.dpm_simulation_inject(c, 0, 5, SC, 0) == lib.DPM_E_ARGUMENT
     for _ in range(lib.DPM_SIMULATION_PLANS):
         simulation.inject(S, SC)

@@ -28,7 +28,8 @@ static int64_t late(dpm_sim_port *port, int64_t time)
 static void set_due(dpm_simulation *sim, unsigned i)
 {
     const dpm_sim_port *port = &sim->port[i];
-    sim->due[i] = port->wake < port->feed ? port->wake : port->feed;
+    const int64_t due = port->wake < port->feed ? port->wake : port->feed;
+    sim->due[i] = due < port->stalled ? port->stalled : due;
 }
 
 static bool hears(const dpm_simulation *sim, unsigned i, const dpm_transmission *t)
@@ -57,8 +58,33 @@ void dpm_sim_announce(dpm_simulation *sim, const dpm_carried *carried)
 
 /* --- reading --------------------------------------------------------------------------------------------------------- */
 
+/* A driver tells only when it was read. */
+static void give_backlog(dpm_simulation *sim, unsigned i)
+{
+    const dpm_sim_port *port = &sim->port[i];
+    dpm_sim_backlog *late = &sim->backlog;
+    const int64_t latest = sim->now - ((int64_t)late->n - 1) * sim->character;
+    const dpm_span span = {late->octets, late->errors, late->n, latest - port->host.lateness - port->host.chunk, latest,
+                           sim->character, late->echo};
+    if (late->n)
+        port->machine->octets(port->machine, &span);
+    late->n = 0;
+}
+
+static void keep(dpm_simulation *sim, unsigned i, const dpm_span *span)
+{
+    dpm_sim_backlog *late = &sim->backlog;
+    if (late->echo != span->echo)
+        give_backlog(sim, i);
+    late->echo = span->echo;
+    for (size_t k = 0; k < span->n && late->n < DPM_SIM_BACKLOG; k++, late->n++) {
+        late->octets[late->n] = span->octets[k];
+        late->errors[late->n] = span->errors ? span->errors[k] : 0;
+    }
+}
+
 /* Slots from..to as one span. */
-static void give(const dpm_simulation *sim, unsigned i, const dpm_carried *c, unsigned from, unsigned to)
+static void give(dpm_simulation *sim, unsigned i, const dpm_carried *c, unsigned from, unsigned to)
 {
     const dpm_sim_port *port = &sim->port[i];
     const uint8_t *octets = c->slotted ? c->heard : c->t.octets;
@@ -77,7 +103,10 @@ static void give(const dpm_simulation *sim, unsigned i, const dpm_carried *c, un
         span.latest = sim->now - spread;
         span.earliest = surely < first ? surely : first;
     }
-    port->machine->octets(port->machine, &span);
+    if (port->stalled)
+        keep(sim, i, &span);
+    else
+        port->machine->octets(port->machine, &span);
 }
 
 /* A driver that is on hears its own octets or none. */
@@ -88,7 +117,7 @@ static bool deaf(const dpm_simulation *sim, const dpm_sim_port *port, const dpm_
     return c->t.start + sim->length[slot] < port->tx_end && c->t.start + sim->length[slot + 1] > port->tx_start;
 }
 
-static void give_slots(const dpm_simulation *sim, unsigned i, const dpm_carried *c, unsigned from, unsigned to)
+static void give_slots(dpm_simulation *sim, unsigned i, const dpm_carried *c, unsigned from, unsigned to)
 {
     const dpm_sim_port *port = &sim->port[i];
     if (!c->slotted && (c->t.wire_end <= port->tx_start || c->t.start >= port->tx_end || port->host.echo)) {
@@ -178,7 +207,11 @@ static void serve(dpm_simulation *sim, unsigned i)
     dpm_machine *machine = port->machine;
     const int64_t heard = handed_over(port, sim->now, false);
     dpm_offer offer;
+    if (port->stalled && port->asks)
+        machine->ask(machine, sim->now, &offer);
     read_wire(sim, i, heard);
+    give_backlog(sim, i);
+    port->stalled = 0;
     machine->quiet(machine, heard); /* a read at once after that one is empty */
     machine->ask(machine, sim->now, &offer);
     if (is_due(sim, port, &offer)) {
@@ -308,6 +341,16 @@ int dpm_simulation_power(dpm_simulation *sim, unsigned i, bool on)
     if (on)
         attune(sim, i);
     dpm_sim_forget(sim, port->address);
+    set_due(sim, i);
+    return DPM_OK;
+}
+
+int dpm_simulation_stall(dpm_simulation *sim, unsigned i, int64_t until, bool asks)
+{
+    if (i >= sim->ports || until <= sim->now)
+        return DPM_E_ARGUMENT;
+    sim->port[i].stalled = until;
+    sim->port[i].asks = asks;
     set_due(sim, i);
     return DPM_OK;
 }

@@ -11,6 +11,7 @@
 #define DPM_SIM_SLOTS 320   /* characters of the longest transmission as faults leave it */
 #define DPM_SIM_EMPTY 0x80  /* mark of a slot in which nobody hears a character begin; else enum dpm_line_error */
 #define DPM_SIM_BREACHES 64
+#define DPM_SIM_BACKLOG 4095 /* octets that a serial port keeps for a host that does not read */
 
 /* A transmission on the wire. As sent, until a fault or an overlap touches it: then `slots` say what is heard. */
 typedef struct dpm_carried {
@@ -33,9 +34,19 @@ typedef struct dpm_sim_port {
     bool on;
     int16_t address;  /* SA it was heard with last, -1 */
     int64_t on_since;
+    int64_t stalled;  /* its host stands still until then, or has: its next read is the first since; 0: it runs */
+    bool asks;        /* and its machine is asked before that */
     int64_t tx_start; /* its own last transmission: what others send meanwhile it does not hear */
     int64_t tx_end;
 } dpm_sim_port;
+
+/* What a host that stood still reads at once. */
+typedef struct dpm_sim_backlog {
+    size_t n;
+    bool echo;
+    uint8_t octets[DPM_SIM_BACKLOG];
+    uint8_t errors[DPM_SIM_BACKLOG];
+} dpm_sim_backlog;
 
 typedef struct dpm_sim_token {
     int16_t holder; /* who it was passed to, -1 */
@@ -119,6 +130,7 @@ struct dpm_simulation {
     dpm_simulation_breach breach[DPM_SIM_BREACHES];
     int64_t due[DPM_SIMULATION_PORTS]; /* the earlier of wake and feed, for each port; together, to be looked through fast */
     dpm_sim_port port[DPM_SIMULATION_PORTS];
+    dpm_sim_backlog backlog; /* empty but while a port reads */
     dpm_carried tap[];
 };
 

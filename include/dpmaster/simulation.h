@@ -178,6 +178,10 @@ DPM_API int dpm_simulation_init(void *block, size_t size, const dpm_simulation_c
 DPM_API int dpm_simulation_attach(dpm_simulation *simulation, dpm_machine *machine, const dpm_simulation_host *host);
 /* A machine without power is not called and hears nothing; its transmission breaks off. */
 DPM_API int dpm_simulation_power(dpm_simulation *simulation, unsigned port, bool on);
+/* The port's host stands still from now until `until`, a time to come. What came meanwhile is read at once then, and as a
+ * serial port reads it: octets of which the last has just come, 4095 at the most. `asks`: it stood before its machine was
+ * asked, so that is the first thing it does; else the first is the read. DPM_E_ARGUMENT. */
+DPM_API int dpm_simulation_stall(dpm_simulation *simulation, unsigned port, int64_t until, bool asks);
 /* Ports hear those on their own side, 0..7: two halves of a cut wire, one port alone, all joined again. */
 DPM_API int dpm_simulation_place(dpm_simulation *simulation, unsigned port, unsigned side);
 
