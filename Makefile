@@ -104,12 +104,13 @@ cross: $(VENV)/.built $(VENV)/.test
 
 # Longer proofs than a change has to wait for: 10 000 random rings, 10 000 cycles of a single master at each rate, an hour of
 # two masters with 20 slaves on virtual time, a minute of two masters side by side on ptys, and cycles with random faults, 10
-# million on virtual time and a million on a pty, 2000 programs that do anything.
+# million on virtual time and a million on a pty, 2000 programs that do anything, every disturbance at every moment of a program.
 soak: $(VENV)/.built $(VENV)/.test
 	DPM_SOAK_RUNS=10000 DPM_SOAK_CYCLES=10000 DPM_SOAK_SECONDS=3600 $(PY) -m pytest --capture=no tests/test_ring_soak.py $(ARGS)
 	DPM_RING_SECONDS=60 $(PY) -m pytest --timeout=600 tests/test_ring_pty.py
 	DPM_DP_CYCLES=10000000 DPM_PTY_CYCLES=1000000 $(PY) -m pytest --capture=no tests/test_dp_soak.py $(ARGS)
 	DPM_PROGRAMS=2000 $(PY) -m pytest tests/test_outputs.py $(ARGS)
+	DPM_CASES=0 DPM_PAIRS=50000 $(PY) -m pytest --capture=no tests/test_disturbances.py $(ARGS)
 	DPM_REQUESTS=2000 $(PY) -m pytest --timeout=1800 tests/test_sip3_model.py
 
 bench: $(VENV)/.built $(VENV)/.bench

@@ -125,7 +125,7 @@ class Master:
         image = lib.dpm_image_init(in_block, lib.dpm_image_size())
         index = int(lib.dpm_master_add(self.master, slave, out, image))
         if index >= 0:
-            self.images.append((out, image, out_block, in_block))
+            self.images[index : index + 1] = [(out, image, out_block, in_block)]
         return index
 
     def mode(self, mode: int, now: int = 0) -> None:
