@@ -949,3 +949,17 @@ def test_who_gave_way_waits_for_four_times_the_longest_silence_of_that_ring():
     end = script.now
     assert script.next(tokens=True) == token(0, 0)
     assert script.idle_bits(end) == pytest.approx(4 * (1100 + 11), abs=1), "to the end of the first octet"
+
+
+def test_what_the_host_was_away_is_no_silence_of_that_ring():
+    """A suspended computer would leave a silent bus to nobody for four times as long."""
+    master = Master(500_000, address=0, allowance=2 * MS)
+    master.mode(lib.DPM_MODE_STOP)
+    script = Script(master)
+    assert script.next(tokens=True) == token(0, 0)
+    script.answer(token(9, 5), tsdr=100)
+    script.silence(script.bits(300))
+    script.now += 3600 * S
+    script.answer(token(9, 5), tsdr=0)
+    end = script.now
+    assert script.next(limit=S, tokens=True) == token(0, 0) and script.now - end < 20 * MS

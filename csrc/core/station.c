@@ -342,6 +342,13 @@ static int64_t echo_due(const dpm_station *st)
 
 /* --- the machine's inputs --------------------------------------------------------------------------------------- */
 
+/* The silence that a span ends. The host was away for no more of it than it ever is, or it is not the bus's. */
+static int64_t silence_before(const dpm_station *st, const dpm_span *span)
+{
+    const int64_t seen = st->config.traits.allowance ? min_of(span->latest, st->looked + st->late_slot) : span->latest;
+    return seen - st->last_activity;
+}
+
 static void station_octets(dpm_machine *machine, const dpm_span *given)
 {
     dpm_station *st = (dpm_station *)machine;
@@ -355,7 +362,7 @@ static void station_octets(dpm_machine *machine, const dpm_span *given)
         return;
     }
     if (st->foreign >= 0 && st->state == DPM_FDL_LISTEN_TOKEN && st->last_activity >= 0)
-        st->foreign_gap = max_of(st->foreign_gap, span.latest - st->last_activity);
+        st->foreign_gap = max_of(st->foreign_gap, silence_before(st, &span));
     bus_busy(st, end, st->tid1);
     st->heard = end;
     if (st->tx_kind == DPM_TX_REPLY)
