@@ -78,7 +78,7 @@ class Host:
 
 RING = lib.DPM_ROLE_RING
 BUSES = {
-    "alone": Host(93_750),
+    "alone": Host(93_750, allowance=500_000),
     "echo": Host(500_000, allowance=2 * MS, echo=True, cycle=10 * MS),
     "usb": Host(187_500, allowance=20 * MS, lateness=1 * MS, chunk=1 * MS),
     "ring": Host(93_750, role=RING, allowance=2 * MS),
@@ -383,11 +383,11 @@ class World:
             self.judge_left(i)
 
     def judge_left(self, i: int) -> None:
-        """SC bears no address: a double of one may pass for that of an Unlock that another disturbance has taken away."""
+        """An Unlock may be lost, and an answer to what was before it meet it or pass for its own: then one more is too many."""
         if self.deaf:
             return
-        mistaken = len(self.case.blows) > 1 and "doubled" in str(self.case)
-        assert mistaken or self.slaves.report(i).master != OURS, f"slave {i} is still locked to us: {self.told()}"
+        fatal = len(self.case.blows) > 1 and any(kind.startswith(("doubled", "late", "unsent")) for kind, *_ in self.case.blows)
+        assert fatal or self.slaves.report(i).master != OURS, f"slave {i} is still locked to us: {self.told()}"
         assert not any(self.outputs(i)), f"slave {i} goes on: {self.told()}"
 
     def settle(self) -> None:

@@ -438,6 +438,23 @@ def test_an_absent_station_is_tried_rarely_once_others_exchange():
     assert tries > 50, "but each of them is tried"
 
 
+def test_what_the_host_is_away_is_no_cost_of_a_try():
+    """A suspended computer would leave it untried for twenty times as long."""
+    bus = Bus()
+    bus.start()
+    bus.master.add(20, 0x0A35, b"\x21")
+
+    def tried() -> int:
+        while bus.next()[4] & 0x7F != 20:
+            bus.script.answer(SC)
+        return bus.script.last.start
+
+    tried()
+    bus.script.silence(10 * S)
+    back = bus.script.now
+    assert tried() - back < 100 * MS
+
+
 @pytest.mark.parametrize("deaf", [0x3D, 0x3E, None])
 def test_a_station_deaf_to_one_service_does_not_slow_the_others(deaf):
     """"Silence instead of SC" (traces/README), for ever: Set_Prm, Chk_Cfg, Data_Exchange; with a host's allowance."""
@@ -821,7 +838,7 @@ def test_a_foreign_master_that_a_late_host_hears_has_taken_the_bus():
 
 
 @pytest.mark.parametrize("away", [50 * MS, 10 * S])
-@pytest.mark.parametrize("moment", ["token", "Clear", "Unlock", "listening", "other"])
+@pytest.mark.parametrize("moment", ["token", "Clear", "Unlock", "listening", "other", "silent"])
 def test_what_the_host_itself_was_away_is_not_waited_for(away, moment):
     """It would give up the token before it had looked whether that is there. Nor does a cycle time of an hour hold it up."""
     bus = Bus(cycle_time=2 * S)
@@ -830,6 +847,8 @@ def test_what_the_host_itself_was_away_is_not_waited_for(away, moment):
         bus.script.answer("DC 05 03", tsdr=40)
     if moment == "listening":
         come_back_late(bus)
+    if moment == "silent":
+        lose(bus)
     bus.master.mode(lib.DPM_MODE_STOP, bus.script.now)
     if moment in ("Clear", "Unlock"):
         assert bus.script.next() == CLEAR
@@ -843,6 +862,16 @@ def test_what_the_host_itself_was_away_is_not_waited_for(away, moment):
     assert sent[7:-2] == UNLOCK and bus.script.now < left + 100 * MS
     bus.script.answer(SC)
     assert bus.script.next(limit=1 * S) == b"" and bus.master.status.mode == lib.DPM_MODE_STOP
+
+
+def test_a_wait_for_the_token_begins_when_the_host_has_read():
+    """What a late host reads at once bears the times of a line that was never silent, back to when it was away."""
+    bus = Bus()
+    bus.start()
+    bus.master.mode(lib.DPM_MODE_STOP, bus.script.now)
+    bus.script.now += 1 * S
+    feed(bus.master.machine, octets("DC 05 03") * 180, bus.script.now, bus.script.character)  # 12 ms; Tto is 4 ms
+    unlocked(bus)
 
 
 @pytest.mark.parametrize("since", [1, 100])

@@ -15,8 +15,8 @@
 #define HOUR 3600000000000 /* ns; the longest time a caller may set */
 /* A cycle in which no slave was asked is not repeated before this has passed, ns. */
 #define EMPTY_CYCLE 1000000
-/* Leaving is bounded: the longest wait for a token to unlock slaves with (two of the ring's rotations, where that is longer), and
- * for slaves that were silent, ns. */
+/* Leaving is bounded: the longest wait for a token to unlock slaves with (two of the ring's rotations within Ttr, where that is
+ * longer), and for slaves that were silent, ns. */
 #define PATIENCE 500000000
 /* The output watchdog's clock: ns of a tick, and ticks by which a feed may be ahead of the bus thread's last look. */
 enum { TICK = 1 << 18, AHEAD = 1 << 14 };
@@ -497,7 +497,8 @@ static int64_t patience(const dpm_master *m)
 {
     if (m->config.station.role == DPM_ROLE_SOLE)
         return min_of(2 * dpm_station_patience(&m->station), PATIENCE);
-    return max_of(2 * m->station.ring.trr, PATIENCE);
+    const dpm_parameters *p = &m->config.station.parameters;
+    return max_of(min_of(2 * m->station.ring.trr, dpm_bits_up(p, p->ttr)), PATIENCE);
 }
 
 static bool waits_for_token(const dpm_master *m)
@@ -574,8 +575,8 @@ static void master_confirm(void *context, int64_t now, const dpm_confirm *confir
         control_confirm(m, confirm);
     if (!slave)
         return;
-    if (slave->state == DPM_ST_OFFLINE && confirm->status == DPM_CONF_NA)
-        m->try_at = now + (dpm_master_exchanges(m) ? TRY_SHARE * (now - confirm->start) : 0);
+    if (slave->state == DPM_ST_OFFLINE && confirm->status == DPM_CONF_NA) /* what the host was away is no cost of it */
+        m->try_at = now + (dpm_master_exchanges(m) ? TRY_SHARE * (m->station.deadline - confirm->start) : 0);
     dpm_slave_confirm(m, slave, now, confirm);
 }
 
@@ -610,7 +611,7 @@ static void master_token(void *context, int64_t now, bool held)
     lose_all(m, now);
     m->control_due |= m->leaving; /* nobody knows who has heard it */
     if (m->tokenless != DPM_NEVER)
-        m->tokenless = now;
+        m->tokenless = LONG_AGO; /* since the next look: what a late host reads may bear any time before it */
     finish_leaving(m, now);
     if (dpm_station_state(&m->station) == DPM_FDL_OFFLINE) { /* another station has our address, or the port is deaf and dumb */
         forget_leaving(m, now);
@@ -804,6 +805,8 @@ static void master_quiet(dpm_machine *machine, int64_t until)
 static void master_ask(dpm_machine *machine, int64_t now, dpm_offer *offer)
 {
     dpm_master *m = (dpm_master *)machine;
+    if (m->left_at != DPM_NEVER && now > m->asked_at + PATIENCE)
+        m->left_at = now; /* nor had those that are left any time while the host was away */
     m->asked_at = now;
     judge_watchdog(m, now);
     judge_transfer(m, now);
