@@ -390,7 +390,7 @@ class World:
         kinds = [kind for kind, *_ in self.case.blows]
         fatal = len(kinds) > 1 and (any(kind.startswith(("doubled", "late", "unsent")) for kind in kinds)
                                     or all(kind.startswith(("token", "request", "lost", "garbled")) for kind in kinds))
-        if fatal and not cleared:
+        if fatal and not cleared:  # it has heard neither Unlock nor Clear: its watchdog is what is left
             return
         assert fatal or self.slaves.report(i).master != OURS, f"slave {i} is still locked to us: {self.told()}"
         assert not any(self.outputs(i)), f"slave {i} goes on: {self.told()}"
